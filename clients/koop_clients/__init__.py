@@ -1,0 +1,1 @@
+"""Simulators, and everything that talks to the koop service from outside."""

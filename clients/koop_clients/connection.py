@@ -1,0 +1,108 @@
+"""A Zenoh session to the koop service: the one thing that every client opens first."""
+
+from __future__ import annotations
+
+import json
+import time
+from pathlib import Path
+
+import zenoh
+
+DEFAULT_ENDPOINT = "tcp/127.0.0.1:7447"
+
+# Under BLOCK Zenoh closes a link whose reader is slower than this, and what follows is lost without
+# an exception. Its default is 5 s, a long garbage collection at the other end.
+_WAIT_BEFORE_CLOSE = "transport/link/tx/queue/congestion_control/block/wait_before_close"
+_ZENOH_DEFAULT_WAIT, _LONG_WAIT = 5_000_000, 600_000_000  # us
+
+_RETRY_INTERVAL = 0.2  # s
+
+
+class NoServiceError(ConnectionError):
+    """Nobody listens at any of the endpoints."""
+
+    def __init__(self, endpoints: list[str]) -> None:
+        super().__init__(endpoints)
+        self.endpoints = endpoints
+
+    def __str__(self) -> str:
+        where = " or ".join(self.endpoints) or "the endpoints of the Zenoh configuration"
+        return f"no koop service at {where}; start one with `koop-serve`"
+
+
+def open_session(
+    connect: str | list[str] | None = None,
+    *,
+    config_file: str | Path | None = None,
+    wait: float = 0.0,
+) -> zenoh.Session:
+    """Open a Zenoh session in client mode; close it, or use it in a `with` statement.
+
+    A session left open keeps the interpreter from ending.
+
+    Args:
+        connect: endpoints to try, such as "tcp/127.0.0.1:7447" (the default) or
+            "tls/koop.example:7447".
+        config_file: a Zenoh configuration in JSON5, for certificates and the like; `connect`, where
+            given, replaces its endpoints.
+        wait: how long to go on trying while nobody listens [s].
+
+    Raises:
+        NoServiceError: nobody listens there.
+        ValueError: the endpoint or the file is not valid.
+    """
+    config = _client_config() if config_file is None else _read_config(Path(config_file))
+    if connect is not None or config_file is None:
+        _set_endpoints(config, connect or DEFAULT_ENDPOINT)
+    _raise_wait_before_close(config)
+    return _open(config, wait)
+
+
+def _client_config() -> zenoh.Config:
+    config = zenoh.Config()
+    config.insert_json5("mode", '"client"')
+    config.insert_json5("scouting/multicast/enabled", "false")
+    config.insert_json5("scouting/gossip/enabled", "false")
+    return config
+
+
+def _read_config(path: Path) -> zenoh.Config:
+    if not path.is_file():
+        raise ValueError(f"there is no Zenoh configuration at {path}")
+    try:
+        return zenoh.Config.from_file(path)
+    except zenoh.ZError as error:
+        raise ValueError(f"{path} is not a Zenoh configuration: {error}") from error
+
+
+def _set_endpoints(config: zenoh.Config, connect: str | list[str]) -> None:
+    endpoints = [connect] if isinstance(connect, str) else connect
+    try:
+        config.insert_json5("connect/endpoints", json.dumps(endpoints))
+    except zenoh.ZError as error:
+        raise ValueError(
+            f"{', '.join(endpoints)!r} is not a Zenoh endpoint; expected one like "
+            f"{DEFAULT_ENDPOINT}"
+        ) from error
+
+
+def _raise_wait_before_close(config: zenoh.Config) -> None:
+    if int(json.loads(config.get_json(_WAIT_BEFORE_CLOSE))) == _ZENOH_DEFAULT_WAIT:
+        config.insert_json5(_WAIT_BEFORE_CLOSE, str(_LONG_WAIT))
+
+
+def _open(config: zenoh.Config, wait: float) -> zenoh.Session:
+    deadline = time.monotonic() + wait
+    while True:
+        try:
+            return zenoh.open(config)
+        except zenoh.ZError as error:
+            if time.monotonic() >= deadline:
+                raise NoServiceError(_endpoints(config)) from error
+        time.sleep(_RETRY_INTERVAL)
+
+
+def _endpoints(config: zenoh.Config) -> list[str]:
+    value = json.loads(config.get_json("connect/endpoints"))
+    # A configuration file may give endpoints by mode.
+    return [str(item) for item in value] if isinstance(value, list) else []

@@ -1,0 +1,1 @@
+"""`koop-dataset`: simulate and draw training sets with the code that streams."""

@@ -1,0 +1,36 @@
+"""Every message of the protocol, version 1.
+
+A message checks itself when it is built, against ``limits`` (a keyword of every constructor), so
+that a sender meets the same error as its receiver would.
+"""
+
+from __future__ import annotations
+
+from koop_protocol.lqr import LqrQuery, LqrReply
+from koop_protocol.measurements import Control, Frame
+from koop_protocol.predictions import (
+    PredictQuery,
+    PredictReply,
+    predict_query_from_parameters,
+)
+from koop_protocol.status import ErrorReply, StateReply
+
+VERSION = 1
+
+Message = (
+    Frame | Control | PredictQuery | PredictReply | LqrQuery | LqrReply | StateReply | ErrorReply
+)
+
+__all__ = [
+    "VERSION",
+    "Control",
+    "ErrorReply",
+    "Frame",
+    "LqrQuery",
+    "LqrReply",
+    "Message",
+    "PredictQuery",
+    "PredictReply",
+    "StateReply",
+    "predict_query_from_parameters",
+]

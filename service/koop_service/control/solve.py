@@ -1,0 +1,115 @@
+"""Solving the condensed QP, and judging the answer by its own optimality conditions.
+
+ProxQP's word is not taken for the status (see `proxqp.py`): the KKT residual is computed here.
+"""
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from koop_service.control.problem import CondensedQP
+from koop_service.control.proxqp import solve_box
+
+Array = NDArray[np.float64]
+
+Status = Literal["solved", "inaccurate", "infeasible", "failed"]
+
+#: Largest relative KKT residual that still counts as solved.
+SOLVED_RESIDUAL = 1e-6
+_ACCURACY = 1e-9
+_ITERATIONS = 1000
+
+
+@dataclass(frozen=True, eq=False)
+class QPSolution:
+    """The controls and how far to trust them.
+
+    u: (N, p), in the controls' unit, always finite and inside the bounds.
+    cost: eq. 13's value at u; infinite when the problem itself is not finite.
+    status: "solved": KKT residual at most 1e-6. "inaccurate": best found, not optimal; shorten the
+        horizon or raise R. "infeasible": the solver found the bounds contradictory. "failed": the
+        problem is not finite (an unstable model over a long horizon); u is then the admissible
+        control nearest to zero.
+    kkt_residual: see `kkt_residual`; infinite when failed.
+    """
+
+    u: Array
+    cost: float
+    status: Status
+    kkt_residual: float
+
+
+def solve_qp(qp: CondensedQP) -> QPSolution:
+    """Minimise the QP inside its bounds; a numerical outcome is a status, never an exception."""
+    if not _is_finite(qp):
+        return _solution(qp, np.clip(0.0, qp.lower, qp.upper), "failed", np.inf)
+    u, empty = _proximal_solution(qp)
+    u, residual = _polish(qp, u)
+    if residual <= SOLVED_RESIDUAL:
+        return _solution(qp, u, "solved", residual)
+    return _solution(qp, u, "infeasible" if empty else "inaccurate", residual)
+
+
+def kkt_residual(qp: CondensedQP, u: Array) -> float:
+    """How far the flat u (N*p,) is from optimal, relative to the largest control; 0 if it is.
+
+    The KKT conditions hold exactly where the step -gradient / diag(H), cut off at the bounds, leads
+    nowhere; the residual is the largest such step over the largest control in play. It needs no
+    multipliers, so there is nothing to believe the solver about.
+    """
+    return _residual(qp, u, qp.gradient(u))
+
+
+def _residual(qp: CondensedQP, u: Array, gradient: Array) -> float:
+    scale = 1.0 / np.diagonal(qp.H)
+    step = u - np.clip(u - gradient * scale, qp.lower, qp.upper)
+    reach = max(float(np.abs(qp.g * scale).max()), float(np.abs(u).max()))
+    return float(np.abs(step).max()) / reach if reach > 0.0 else 0.0
+
+
+def _is_finite(qp: CondensedQP) -> bool:
+    finite = np.isfinite(qp.H).all() and np.isfinite(qp.g).all() and np.isfinite(qp.constant)
+    return bool(finite)
+
+
+def _solution(qp: CondensedQP, u: Array, status: Status, residual: float) -> QPSolution:
+    cost = qp.cost(u) if status != "failed" else np.inf
+    return QPSolution(u.reshape(-1, qp.control_size), cost, status, residual)
+
+
+def _proximal_solution(qp: CondensedQP) -> tuple[Array, bool]:
+    """ProxQP on the problem in units where H and g have entries near 1, cut to the bounds."""
+    h, g = float(np.diagonal(qp.H).max()), float(np.abs(qp.g).max())
+    unit = g / h if g > 0.0 else 1.0
+    v, empty = solve_box(
+        qp.H / h,
+        qp.g / (h * unit),
+        qp.lower / unit,
+        qp.upper / unit,
+        accuracy=_ACCURACY,
+        iterations=_ITERATIONS,
+    )
+    u = np.where(np.isfinite(v), v * unit, 0.0)
+    return np.clip(u, qp.lower, qp.upper), empty
+
+
+def _polish(qp: CondensedQP, u: Array) -> tuple[Array, float]:
+    """One exact step: guess which controls sit on bounds, solve for the rest, keep what is better.
+
+    ProxQP stops a little off the bounds; those that a gradient step pushes onto one belong there.
+    """
+    gradient = qp.gradient(u)
+    residual = _residual(qp, u, gradient)
+    pushed = u - gradient / np.diagonal(qp.H)
+    snapped = np.where(pushed <= qp.lower, qp.lower, np.where(pushed >= qp.upper, qp.upper, u))
+    free = np.flatnonzero((pushed > qp.lower) & (pushed < qp.upper))
+    try:
+        step = np.linalg.solve(qp.H[np.ix_(free, free)], qp.gradient(snapped)[free])
+    except np.linalg.LinAlgError:
+        return u, residual
+    snapped[free] -= step
+    polished = np.clip(snapped, qp.lower, qp.upper)
+    polished_residual = kkt_residual(qp, polished)
+    return (polished, polished_residual) if polished_residual < residual else (u, residual)

@@ -1,0 +1,57 @@
+"""The autoencoder as inference runs it: every BatchNorm folded into its convolution."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor, nn
+
+from koop_service.encoding.autoencoder import Autoencoder
+
+
+def fold(model: Autoencoder) -> tuple[nn.Module, nn.Module]:
+    """(encoder, decoder) equal to `model` in evaluation mode, up to rounding, without BatchNorm."""
+    encoder = nn.Sequential(*(_fold_encoder_block(block) for block in model.encoder))
+    decoder = nn.Sequential(*(_fold_decoder_block(block) for block in model.decoder))
+    for part in (encoder, decoder):
+        part.eval().requires_grad_(False).to(memory_format=torch.channels_last)
+    return encoder, decoder
+
+
+class _SignedPool(nn.Module):
+    """Max-pooling of channels whose normalisation had a negative scale: the sign acts after it."""
+
+    def __init__(self, sign: Tensor, shift: Tensor) -> None:
+        super().__init__()
+        self.register_buffer("sign", sign[:, None, None])
+        self.register_buffer("shift", shift[:, None, None])
+
+    def forward(self, x: Tensor) -> Tensor:
+        return nn.functional.max_pool2d(x, 2) * self.sign + self.shift
+
+
+def _fold_encoder_block(block: nn.Module) -> nn.Module:
+    conv, pool, norm, *activation = block.children()
+    scale, shift = _affine(norm)
+    folded = nn.Conv2d(conv.in_channels, conv.out_channels, 3, padding=1)
+    folded.weight.data = conv.weight.data * scale.abs()[:, None, None, None]
+    if bool((scale >= 0).all()):
+        folded.bias.data = conv.bias.data * scale + shift
+        return nn.Sequential(folded, pool, *activation)
+    # max(s x) = s max(x) only for s >= 0.
+    folded.bias.data = conv.bias.data * scale.abs()
+    return nn.Sequential(folded, _SignedPool(scale.sign(), shift), *activation)
+
+
+def _fold_decoder_block(block: nn.Module) -> nn.Module:
+    conv, norm, *activation = block.children()
+    scale, shift = _affine(norm)
+    folded = nn.ConvTranspose2d(conv.in_channels, conv.out_channels, 2, stride=2)
+    folded.weight.data = conv.weight.data * scale[None, :, None, None]
+    folded.bias.data = conv.bias.data * scale + shift
+    return nn.Sequential(folded, *activation)
+
+
+def _affine(norm: nn.Module) -> tuple[Tensor, Tensor]:
+    """BatchNorm in evaluation mode is x -> scale x + shift."""
+    scale = norm.weight.data / torch.sqrt(norm.running_var + norm.eps)
+    return scale, norm.bias.data - norm.running_mean * scale

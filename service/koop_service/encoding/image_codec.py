@@ -1,0 +1,54 @@
+"""Frames to codes and back in batches: what the service calls."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+from koop_service.encoding.autoencoder import Autoencoder
+from koop_service.encoding.folding import fold
+from koop_service.encoding.weights import ModelCard
+
+_LARGEST_BATCH = 64
+
+
+class ImageCodec:
+    """Encoder and decoder of one model on one device.
+
+    A code's bits must not depend on the batch that its frame rode in. Batches of two and more keep
+    that on a CPU; a batch of one takes another kernel and rounds differently, so it is padded.
+    """
+
+    def __init__(self, model: Autoencoder, card: ModelCard, device: str = "cpu") -> None:
+        self.card = card
+        self.code_size = card.code_size
+        self.image_shape = card.image_shape
+        self.renderer = card.renderer
+        self._device = torch.device(device)
+        self._encoder, self._decoder = (part.to(self._device) for part in fold(model))
+
+    def encode(self, images: np.ndarray) -> np.ndarray:
+        """Codes (B, n) float64 of images (B, H, W): uint8, or floats in [0, 1]."""
+        scale = 1 / 255 if images.dtype == np.uint8 else 1.0
+        pixels = torch.tensor(images).to(self._device, torch.float32).mul_(scale)
+        codes = self._in_batches(self._encoder, pixels[:, None])
+        return codes.reshape(len(images), self.code_size).astype(np.float64)
+
+    def decode(self, codes: np.ndarray, dtype: type | np.dtype = np.float32) -> np.ndarray:
+        """Images (B, H, W) of codes (B, n), clipped to [0, 1], or to [0, 255] for uint8."""
+        inputs = torch.tensor(codes, dtype=torch.float32, device=self._device)
+        images = self._in_batches(self._decoder, inputs[:, :, None, None])
+        images = images.reshape(len(codes), *self.image_shape).clip(0.0, 1.0)
+        if np.dtype(dtype) == np.uint8:
+            images = np.rint(images * 255)
+        return images.astype(dtype)
+
+    def _in_batches(self, network: nn.Module, inputs: Tensor) -> np.ndarray:
+        count = len(inputs)
+        if count % _LARGEST_BATCH == 1:
+            inputs = torch.cat([inputs, inputs[-1:]])
+        inputs = inputs.contiguous(memory_format=torch.channels_last)
+        with torch.inference_mode():
+            parts = [network(batch) for batch in inputs.split(_LARGEST_BATCH)]
+            return torch.cat(parts)[:count].cpu().numpy()

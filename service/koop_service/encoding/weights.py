@@ -1,0 +1,98 @@
+"""Weights on disk: safetensors, with the model card in the file's own metadata."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+
+import torch
+from safetensors import SafetensorError, safe_open
+from safetensors.torch import save_file
+
+from koop_service.encoding.autoencoder import IMAGE_SIZE, Autoencoder
+
+FORMAT = "koop-autoencoder-1"
+
+
+@dataclass(frozen=True)
+class EstimatorDefaults:
+    """The estimator settings that a model was trained and evaluated with."""
+
+    history: int = 2
+    rho: float = 1e-2
+    forgetting: float = 1.0
+    affine: bool = True
+
+
+@dataclass(frozen=True)
+class ModelCard:
+    """What a user must know of a set of weights.
+
+    `renderer` drew the training frames ("" for a real camera); `dt` is the frame interval [s];
+    `training` records data, preset, seed and command; `figures` what was measured on unseen data.
+    """
+
+    system: str
+    renderer: str
+    dt: float
+    code_size: int = 8
+    image_shape: tuple[int, int] = (IMAGE_SIZE, IMAGE_SIZE)
+    estimator: EstimatorDefaults = field(default_factory=EstimatorDefaults)
+    training: Mapping[str, object] = field(default_factory=dict)
+    figures: Mapping[str, object] = field(default_factory=dict)
+
+
+def save_weights(path: Path, model: Autoencoder, card: ModelCard) -> None:
+    """Write weights and card to `path`, atomically."""
+    metadata = {"format": FORMAT, "card": json.dumps(asdict(card))}
+    partial = path.with_name(path.name + ".partial")
+    tensors = {name: t.detach().cpu().contiguous() for name, t in model.state_dict().items()}
+    save_file(tensors, partial, metadata)
+    partial.replace(path)
+
+
+def load_card(path: Path) -> ModelCard:
+    """The model card of a weights file. Raises ValueError where it is not one of koop's."""
+    try:
+        with safe_open(path, "pt") as file:
+            return _card(path, file.metadata() or {})
+    except (SafetensorError, OSError) as error:
+        raise ValueError(f"{path} cannot be read as safetensors: {error}") from error
+
+
+def load_weights(path: Path) -> tuple[Autoencoder, ModelCard]:
+    """Model in evaluation mode, and its card. Raises ValueError where the file does not fit."""
+    card = load_card(path)
+    model = Autoencoder(card.code_size)
+    try:
+        with safe_open(path, "pt") as file:
+            tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
+        model.load_state_dict(tensors)
+    except (SafetensorError, RuntimeError) as error:
+        raise ValueError(f"{path} does not hold the weights that its card names: {error}") from error
+    if not all(bool(torch.isfinite(t).all()) for t in tensors.values()):
+        raise ValueError(f"{path} holds weights that are not finite")
+    return model.eval(), card
+
+
+def fingerprint(path: Path) -> str:
+    """A hash of the file's bytes: which weights a stored estimator state was computed with."""
+    return hashlib.blake2b(path.read_bytes(), digest_size=16).hexdigest()
+
+
+def _card(path: Path, metadata: Mapping[str, str]) -> ModelCard:
+    if metadata.get("format") != FORMAT:
+        raise ValueError(
+            f"{path} is not a koop autoencoder: its metadata says format "
+            f"{metadata.get('format')!r}, expected {FORMAT!r}; train one with koop-train"
+        )
+    try:
+        fields = json.loads(metadata["card"])
+        fields["estimator"] = EstimatorDefaults(**fields["estimator"])
+        fields["image_shape"] = tuple(fields["image_shape"])
+        return ModelCard(**fields)
+    except (KeyError, TypeError, json.JSONDecodeError) as error:
+        raise ValueError(f"{path} has a model card that cannot be read: {error}") from error

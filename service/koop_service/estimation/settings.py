@@ -1,0 +1,93 @@
+"""What an estimator is told once, before its first frame: sizes, prior and memory."""
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+
+#: Below this the memory is shorter than two frames, and the prior could underflow between refills.
+LOWEST_FORGETTING = 0.5
+
+
+@dataclass(frozen=True)
+class EstimatorSettings:
+    """Sizes and constants of one trajectory's estimator; raises ValueError when they make no sense.
+
+    code_size: n, numbers in a code z.
+    history: h, codes in a regressor (1 to predict from one code alone; 2 gives velocities).
+    control_size: p, numbers in a control u (0 when unforced).
+    affine: append a constant 1 to the regressor.
+    rho: weight of the prior |Theta - centre|^2, in units of |code|^2 (eq. 7's rho).
+    forgetting: lambda, weight of a measurement one step older, in [0.5, 1]; 1 forgets nothing.
+    window: measurements remembered at all (None: every one).
+    refinements: k, proximal iterations of eq. 7 in a solve; 1 is plain ridge regression.
+    """
+
+    code_size: int
+    history: int = 2
+    control_size: int = 0
+    affine: bool = False
+    rho: float = 1e-2
+    forgetting: float = 1.0
+    window: int | None = None
+    refinements: int = 2
+
+    def __post_init__(self) -> None:
+        _require_count("code_size", self.code_size, 1)
+        _require_count("history", self.history, 1)
+        _require_count("control_size", self.control_size, 0)
+        _require_count("refinements", self.refinements, 1)
+        if self.window is not None:
+            _require_count("window", self.window, 1)
+        if not (math.isfinite(self.rho) and 1e-30 <= self.rho <= 1e30):
+            raise ValueError(f"rho is {self.rho}; expected a positive number, 1e-30 to 1e30")
+        if not LOWEST_FORGETTING <= self.forgetting <= 1.0:
+            raise ValueError(
+                f"forgetting is {self.forgetting}; expected a number from {LOWEST_FORGETTING} to 1"
+                " (1 forgets nothing, 0.99 remembers about 100 frames)"
+            )
+
+    @cached_property
+    def regressor_size(self) -> int:
+        """d = h*n + p, plus 1 when affine."""
+        return self.history * self.code_size + self.control_size + int(self.affine)
+
+    @cached_property
+    def row_size(self) -> int:
+        """d + n, the length of one measurement row [w^T y^T]."""
+        return self.regressor_size + self.code_size
+
+    @cached_property
+    def warmup_updates(self) -> int:
+        """Transitions (w, y) folded before the model may be used: 2 (h*n + p)."""
+        return 2 * (self.history * self.code_size + self.control_size)
+
+    @cached_property
+    def warmup_frames(self) -> int:
+        """Gapless frames that give `warmup_updates` transitions: h + 2 (h*n + p)."""
+        return self.history + self.warmup_updates
+
+    @cached_property
+    def refill_stride(self) -> int:
+        """Steps between two refills of the prior (see `factor.py`); 0: it never decays.
+
+        The prior's rows are refilled in turn, so one waits d*stride steps; the stride is the
+        longest that loses at most half of it, and 1 where even that loses more.
+        """
+        if self.forgetting == 1.0:
+            return 0
+        half_life = math.log(0.5) / math.log(self.forgetting)
+        return max(1, int(half_life / self.regressor_size))
+
+    @cached_property
+    def solve_iterations(self) -> int:
+        """Proximal iterations of a solve: `refinements`, but 1 under forgetting.
+
+        There the refill already is the proximal step (the prior is centred on the last solved
+        estimate), and iterating again would count it twice.
+        """
+        return self.refinements if self.forgetting == 1.0 else 1
+
+
+def _require_count(name: str, value: int, least: int) -> None:
+    if isinstance(value, bool) or not isinstance(value, int) or value < least:  # pyright: ignore[reportUnnecessaryIsInstance]
+        raise ValueError(f"{name} is {value!r}; expected a whole number, {least} or more")

@@ -1,0 +1,104 @@
+"""The training loss: eq. 12 and 17 with restarts (the paper's partial updates).
+
+Long open-loop roll-outs of a plant that is unstable without its controller explode. So the model is
+fitted on a window's first frames and rolled out over short segments from many measured restarts,
+inside the fitted part and after it. A robust consistency term in code space reaches every predicted
+step; a random part of them is decoded.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from koop_service.encoding.autoencoder import Autoencoder
+from koop_service.learning.fit import proximal_solve, regressors, roll_out
+from koop_service.learning.presets import Preset
+
+
+@dataclass(frozen=True, eq=False)
+class Batch:
+    """Windows: images (B, T, 64, 64) in [0, 1] and controls (B, T-1, p), both float32."""
+
+    images: Tensor
+    controls: Tensor
+
+
+@dataclass(frozen=True, eq=False)
+class Loss:
+    """`total` is minimised; the others are RMSE a pixel and relative RMSE of codes."""
+
+    total: Tensor
+    reconstruction: float
+    prediction: float
+    consistency: float
+
+
+def loss(
+    model: Autoencoder, batch: Batch, preset: Preset, horizon: int, rng: np.random.Generator
+) -> Loss:
+    """Reconstruction, decoded prediction and code consistency over `horizon` steps."""
+    windows, length = batch.images.shape[:2]
+    flat = batch.images.flatten(0, 1)[:, None].contiguous(memory_format=torch.channels_last)
+    codes = model.encode(flat).unflatten(0, (windows, length))
+    fitted = preset.fit_frames
+    W, Y = regressors(codes[:, :fitted], batch.controls[:, : fitted - 1], preset.history)
+    theta = proximal_solve(W, Y, preset.rho, preset.refinements)
+
+    restarts = _restarts(windows, length, horizon, preset, rng)
+    predicted, target_index = _predict(theta, codes, batch.controls, restarts, horizon, preset)
+    targets = _pick(codes, target_index)
+    spread = codes.detach().flatten(0, 1).var(0).mean()
+    relative = ((predicted - targets) ** 2).mean(3) / spread
+    consistency = torch.log1p(10 * relative).mean() / 10
+
+    reconstruction = _decoded_error(model, codes, batch.images, preset.reconstructed, rng)
+    aimed = batch.images[torch.arange(windows)[:, None, None], target_index]
+    prediction = _decoded_error(model, predicted, aimed, preset.predicted, rng)
+    total = reconstruction + prediction + preset.consistency * consistency
+    return Loss(
+        total,
+        float(reconstruction.detach().sqrt()),
+        float(prediction.detach().sqrt()),
+        float(relative.detach().mean().sqrt()),
+    )
+
+
+def _restarts(
+    windows: int, length: int, horizon: int, preset: Preset, rng: np.random.Generator
+) -> Tensor:
+    """Frames (B, S) to start from: half inside the fitted part, half at its end or after it."""
+    half = preset.restarts // 2
+    inside = rng.integers(preset.history - 1, preset.fit_frames - 1, (windows, half))
+    last = length - 1 - horizon
+    after = rng.integers(preset.fit_frames - 1, last + 1, (windows, preset.restarts - half))
+    return torch.from_numpy(np.concatenate([np.minimum(inside, last), after], 1))
+
+
+def _predict(
+    theta: Tensor, codes: Tensor, controls: Tensor, restarts: Tensor, horizon: int, preset: Preset
+) -> tuple[Tensor, Tensor]:
+    """Predicted codes (B, S, K, n) and the frames (B, S, K) that they predict."""
+    steps = torch.arange(horizon)
+    back = torch.arange(1 - preset.history, 1)
+    history = _pick(codes, restarts[:, :, None] + back)
+    future = _pick(controls, restarts[:, :, None] + steps)
+    return roll_out(theta, history, future), restarts[:, :, None] + 1 + steps
+
+
+def _pick(sequence: Tensor, index: Tensor) -> Tensor:
+    """sequence (B, T, c) at index (B, S, K): (B, S, K, c)."""
+    return sequence[torch.arange(len(sequence))[:, None, None], index]
+
+
+def _decoded_error(
+    model: Autoencoder, codes: Tensor, images: Tensor, count: int, rng: np.random.Generator
+) -> Tensor:
+    """Mean squared pixel error of `count` randomly chosen codes (..., n) decoded."""
+    flat_codes, flat_images = codes.flatten(0, -2), images.flatten(0, -3)
+    chosen = torch.from_numpy(rng.choice(len(flat_codes), min(count, len(flat_codes)), False))
+    decoded = model.decode(flat_codes[chosen])
+    return ((decoded[:, 0] - flat_images[chosen]) ** 2).mean()

@@ -1,0 +1,82 @@
+"""Rolling the model forward from measured history (eq. 8), without ever forming the companion form.
+
+The h newest codes of an oldest-first trajectory are contiguous rows, so that flattening them is
+the companion state.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from koop_service.prediction.model import LinearModel
+
+Array = NDArray[np.float64]
+
+
+def rollout(model: LinearModel, history: Array, controls: Array) -> Array:
+    """Codes (H, n) that follow `history` (h, n) under `controls` (H, p); row i is H = i + 1 ahead.
+
+    controls[0] acts between the newest code of the history and the first predicted one. An
+    unstable model overflows to infinity rather than raising: that is its honest prediction.
+    Raises ValueError for shapes that do not fit the model, H = 0, NaN and infinity.
+    """
+    history = check_history(model, history)
+    controls = check_controls(model, controls)
+    with np.errstate(over="ignore", invalid="ignore"):
+        return _continue(model.A, history, controls @ model.B.T + model.c)[len(history) :]
+
+
+def regressors(history: Array, codes: Array, controls: Array) -> Array:
+    """Rows w_t = [z_{t-h+1}; ...; z_t; u_t], (H, h*n + p), whose next codes are `codes` (H, n)."""
+    h, n = history.shape
+    trajectory = np.concatenate([history, codes])
+    windows = np.lib.stride_tricks.sliding_window_view(trajectory, (h, n))[: len(codes), 0]
+    return np.concatenate([windows.reshape(len(codes), h * n), controls], axis=1)
+
+
+def forced_response(model: LinearModel, forcing: Array) -> Array:
+    """Codes (H, n, m) from zero history under `forcing` (H, n, m), m inputs at once."""
+    _, n, m = forcing.shape
+    with np.errstate(over="ignore", invalid="ignore"):
+        return _continue(model.A, np.zeros((model.history, n, m)), forcing)[model.history :]
+
+
+def impulse_response(model: LinearModel, impulse: Array, horizon: int) -> Array:
+    """Responses (H, n, m) to m impulses (n, m) that are the first new code, from zero history.
+
+    With impulse = B these are the Markov parameters: row j is what u_t adds to z_{t+1+j}.
+    """
+    forcing = np.zeros((horizon, *impulse.shape))
+    forcing[0] = impulse
+    return forced_response(model, forcing)
+
+
+def check_history(model: LinearModel, history: Array) -> Array:
+    """`history` as float64, or ValueError unless it is finite and (h, n)."""
+    return _checked("history", history, (model.history, model.code_size))
+
+
+def check_controls(model: LinearModel, controls: Array) -> Array:
+    """`controls` as float64, or ValueError unless they are finite and (H, p) with H >= 1."""
+    horizon = len(controls) if np.ndim(controls) else 0
+    if horizon < 1:
+        raise ValueError("controls have no rows; expected one row a step: ask for a horizon >= 1")
+    return _checked("controls", controls, (horizon, model.control_size))
+
+
+def _checked(name: str, array: Array, shape: tuple[int, ...]) -> Array:
+    array = np.ascontiguousarray(array, dtype=np.float64)
+    if array.shape != shape:
+        raise ValueError(f"{name} has shape {array.shape}; expected {shape}, as the model says")
+    if not np.isfinite(array).all():
+        raise ValueError(f"{name} has NaN or infinity; expected finite numbers")
+    return array
+
+
+def _continue(A: Array, history: Array, forcing: Array) -> Array:
+    """Append z_{t+1} = A [z_{t-h+1}; ...; z_t] + forcing_t; codes may be vectors or matrices."""
+    h, n = history.shape[:2]
+    columns = history.shape[2:]
+    Z = np.concatenate([history, forcing])
+    for t in range(len(forcing)):
+        Z[t + h] += A @ Z[t : t + h].reshape(h * n, *columns)
+    return Z

@@ -1,0 +1,63 @@
+"""Standard deviations of a roll-out: process noise plus what is not known about the model.
+
+The posterior of Theta is matrix-normal, Theta = mean + S^{1/2} N R^{-T} with N (n, d) standard
+normal: row covariance S, column covariance (R^T R)^{-1}. One wrong Theta acts at every step, so its
+errors add up coherently instead of averaging out: to first order each column of N is an impulse
+train v_0, v_1, ... (v_t = R^{-T} w_t) through the model, while the noise enters once a step. At one
+step this is exactly S (1 + w^T (R^T R)^{-1} w).
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from koop_service.prediction.model import LinearModel
+from koop_service.prediction.rollout import forced_response, impulse_response, regressors, rollout
+
+Array = NDArray[np.float64]
+
+
+def rollout_std(model: LinearModel, history: Array, controls: Array, S: Array, R: Array) -> Array:
+    """Standard deviations (H, n) of `rollout(model, history, controls)`, in code units.
+
+    S: (n, n) covariance of the one-step residual. R: (d, d) upper triangular, the estimator's
+    factor, R^T R = W W^T + rho I; d = h*n + p, plus 1 when the estimator is affine.
+    The measured history is taken as exact. Raises ValueError for shapes that do not fit.
+    """
+    codes = rollout(model, history, controls)
+    W = _with_constant(regressors(history, codes, controls), R)
+    if S.shape != (model.code_size, model.code_size):
+        raise ValueError(f"S has shape {S.shape}; expected (n, n) with n = {model.code_size}")
+    root = _root(S)
+    with np.errstate(over="ignore", invalid="ignore"):
+        noise = impulse_response(model, root, len(codes))
+        parameters = forced_response(model, _impulses(W, R, root))
+        variance = np.cumsum(_power(noise), axis=0) + _power(parameters)
+        return np.sqrt(variance)
+
+
+def _with_constant(W: Array, R: Array) -> Array:
+    """Regressors (H, d) in the factor's size: with a 1 at the end where the estimator is affine."""
+    d = R.shape[0]
+    if R.shape != (d, d) or d - W.shape[1] not in (0, 1):
+        raise ValueError(
+            f"R has shape {R.shape}; expected (d, d) with d = {W.shape[1]}, or 1 more when affine"
+        )
+    return np.concatenate([W, np.ones((len(W), d - W.shape[1]))], axis=1)
+
+
+def _root(S: Array) -> Array:
+    """A square root of a covariance, also of a singular one (a dead code has no noise)."""
+    eigenvalues, vectors = np.linalg.eigh(S)
+    return vectors * np.sqrt(np.maximum(eigenvalues, 0.0))
+
+
+def _impulses(W: Array, R: Array, root: Array) -> Array:
+    """Forcing (H, n, n*d): at step t, column block j is v_t[j] S^{1/2}."""
+    horizon, d = W.shape
+    V = np.linalg.solve(R.T, W.T).T
+    return np.einsum("tj,ab->tajb", V, root).reshape(horizon, len(root), d * len(root))
+
+
+def _power(responses: Array) -> Array:
+    """Row sums of squares (H, n) of responses (H, n, m)."""
+    return np.einsum("tam,tam->ta", responses, responses)

@@ -1,0 +1,201 @@
+"""What `koop-serve` can be told: frozen settings that check themselves, and their help texts.
+
+The field texts below are what `koop-serve --help` prints. A TOML file has one table for each
+section, in the same names (`[network]`, `[estimator]`, ...), and one `[[models]]` for each model.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Literal
+
+LOOPBACK = "tcp/127.0.0.1:7447"
+"""Where a client looks if nobody says otherwise: Zenoh's own port, on this machine only."""
+
+
+@dataclass(frozen=True)
+class NetworkSettings:
+    """Zenoh: where clients reach the service."""
+
+    listen: tuple[str, ...] | None = None
+    """Endpoints of the Zenoh hub in this process, such as tcp/0.0.0.0:7447; port 0 takes any free
+    one. By default tcp/127.0.0.1:7447, or none where --connect is given."""
+    connect: tuple[str, ...] = ()
+    """Zenoh routers to join, such as tcp/router:7447; the service waits until one is there."""
+    scouting: bool = False
+    """Find and be found by multicast on the local network."""
+    zenoh_config: Path | None = None
+    """A raw Zenoh configuration file (JSON5 or YAML), for TLS and access control; the three options
+    above act on top of it, and without them it decides alone."""
+
+    def __post_init__(self) -> None:
+        if self.listen == ():
+            raise ValueError("listen is empty; give an endpoint, or leave it out")
+        for endpoint in (*(self.listen or ()), *self.connect):
+            if "/" not in endpoint:
+                raise ValueError(
+                    f"{endpoint!r} is not a Zenoh endpoint; expected protocol/address, such as "
+                    f"{LOOPBACK}"
+                )
+        _require_file("zenoh_config", self.zenoh_config)
+
+    @property
+    def endpoints(self) -> tuple[str, ...]:
+        """Endpoints to listen on."""
+        if self.listen is not None:
+            return self.listen
+        return () if self.connect or self.zenoh_config else (LOOPBACK,)
+
+
+@dataclass(frozen=True)
+class ModelRule:
+    """One model of the user's: weights, and the trajectories that they are for."""
+
+    path: Path
+    patterns: tuple[str, ...]
+    name: str = ""
+
+    def __post_init__(self) -> None:
+        _require_file("path", self.path)
+        if not self.patterns or not all(self.patterns):
+            raise ValueError(
+                f"the model {self.path} has no patterns; expected those of its trajectories, "
+                "such as 'cartpole/*'"
+            )
+
+    @classmethod
+    def parse(cls, text: str) -> ModelRule:
+        """The rule that a command line gives as PATTERN=PATH."""
+        pattern, separator, path = text.rpartition("=")
+        if not separator or not pattern:
+            raise ValueError(
+                f"{text!r} is not a model; expected PATTERN=PATH, such as "
+                "'cartpole/*=cartpole.safetensors'"
+            )
+        return cls(Path(path), (pattern,))
+
+
+@dataclass(frozen=True)
+class EstimatorChoices:
+    """Estimator of each trajectory; what is left out is taken from the model's card."""
+
+    history: int | None = None
+    """Codes in a regressor (h); 2 gives the model velocities."""
+    rho: float | None = None
+    """Weight of the prior, in units of a code's square; larger forgives more noise."""
+    forgetting: float | None = None
+    """Weight of a frame one step older, 0.5 to 1; 1 forgets nothing, 0.99 remembers 100 frames."""
+    window: int | None = None
+    """Frames remembered at all; by default every one."""
+    affine: bool | None = None
+    """Whether the model has a constant term."""
+
+    def __post_init__(self) -> None:
+        _require_at_least("history", self.history, 1)
+        _require_at_least("window", self.window, 1)
+        if self.rho is not None and not (math.isfinite(self.rho) and self.rho > 0):
+            raise ValueError(f"rho is {self.rho}; expected a positive number")
+        if self.forgetting is not None and not 0.5 <= self.forgetting <= 1:
+            raise ValueError(f"forgetting is {self.forgetting}; expected 0.5 to 1")
+
+
+@dataclass(frozen=True)
+class ComputeSettings:
+    """Where and how the encoder runs."""
+
+    device: str = "cpu"
+    """torch device of the encoder: cpu, cuda, cuda:1."""
+    threads: int = 1
+    """Processor threads of the encoder. One core encodes about 4,000 frames a second."""
+    batch: int = 32
+    """Most frames encoded at once. A query waits for the batch in work, so this trades answer time
+    for throughput; on a GPU 256 and more pay."""
+
+    def __post_init__(self) -> None:
+        _require_at_least("threads", self.threads, 1)
+        _require_at_least("batch", self.batch, 1)
+
+
+@dataclass(frozen=True)
+class LimitSettings:
+    """What the service is willing to take."""
+
+    max_trajectories: int = 10_000
+    """Trajectories held at once; frames of a further one are rejected."""
+    queue_messages: int = 2048
+    """Measurements waiting at once; then the sources are held back, nothing is dropped."""
+    queue_bytes: int = 64 << 20
+    """Bytes of measurements waiting at once; then the sources are held back."""
+    queue_queries: int = 256
+    """Queries waiting at once; further ones are answered 'overloaded'."""
+    max_message_bytes: int = 4 << 20
+    """Largest message [bytes]."""
+    max_horizon: int = 1000
+    """Longest prediction or control sequence [frames]."""
+
+    def __post_init__(self) -> None:
+        for name in ("max_trajectories", "queue_messages", "queue_queries", "max_horizon"):
+            _require_at_least(name, getattr(self, name), 1)
+        _require_at_least("max_message_bytes", self.max_message_bytes, 1024)
+        _require_at_least("queue_bytes", self.queue_bytes, self.max_message_bytes)
+
+
+@dataclass(frozen=True)
+class MonitoringSettings:
+    """Metrics and logs."""
+
+    metrics_port: int | None = None
+    """Serve Prometheus metrics on this port; 0 takes any free one. By default none are served."""
+    metrics_address: str = "127.0.0.1"
+    """Address that the metrics are served on; 0.0.0.0 shows them to the network."""
+    log_format: Literal["text", "json"] = "text"
+    """Logs on standard error: text for people, json with one object a line for machines."""
+    log_level: Literal["debug", "info", "warning", "error"] = "info"
+    """Least severe log lines shown."""
+
+    def __post_init__(self) -> None:
+        _require_at_least("metrics_port", self.metrics_port, 0)
+        _require_one_of("log_format", self.log_format, ("text", "json"))
+        _require_one_of("log_level", self.log_level, ("debug", "info", "warning", "error"))
+
+
+def default_state_folder() -> Path:
+    """`koop` in the user's state folder, as the XDG base directory specification has it."""
+    base = os.environ.get("XDG_STATE_HOME", "")
+    return (Path(base) if base.startswith("/") else Path.home() / ".local" / "state") / "koop"
+
+
+@dataclass(frozen=True)
+class ServiceConfig:
+    """Everything that `koop-serve` can be told."""
+
+    models: tuple[ModelRule, ...] = ()
+    """Own models before the bundled ones: PATTERN=PATH, such as 'cartpole/*=mine.safetensors';
+    a trajectory takes the first whose pattern matches its name."""
+    state_folder: Path = field(default_factory=default_state_folder)
+    """Where the estimators are kept from one run to the next."""
+    network: NetworkSettings = field(default_factory=NetworkSettings)
+    estimator: EstimatorChoices = field(default_factory=EstimatorChoices)
+    compute: ComputeSettings = field(default_factory=ComputeSettings)
+    limits: LimitSettings = field(default_factory=LimitSettings)
+    monitoring: MonitoringSettings = field(default_factory=MonitoringSettings)
+
+
+def _require_at_least(name: str, value: object, least: int) -> None:
+    if value is None and name in ("history", "window", "metrics_port"):
+        return
+    if not isinstance(value, int) or isinstance(value, bool) or value < least:
+        raise ValueError(f"{name} is {value!r}; expected a whole number, {least} or more")
+
+
+def _require_one_of(name: str, value: str, choices: tuple[str, ...]) -> None:
+    if value not in choices:
+        raise ValueError(f"{name} is {value!r}; expected one of {', '.join(choices)}")
+
+
+def _require_file(name: str, path: Path | None) -> None:
+    if path is not None and not path.is_file():
+        raise ValueError(f"{name}: there is no file {path}")

@@ -1,0 +1,107 @@
+"""The Zenoh session: a hub for one machine by default, or a leaf of somebody's network."""
+
+from __future__ import annotations
+
+import json
+import os
+from pathlib import Path
+from typing import Any
+
+# Zenoh reads a link on one of its receiver threads, and a source that is held back keeps its
+# thread. With Zenoh's own two threads, two such sources would keep everybody's queries out.
+os.environ.setdefault("ZENOH_RUNTIME", "(rx: (worker_threads: 16))")
+
+import zenoh
+
+from koop_service.serving.config import LOOPBACK, NetworkSettings
+
+_LARGEST_MESSAGE = 64 << 20
+"""What Zenoh puts together at all [bytes]; the protocol's own limit is far lower, and answered."""
+_PATIENCE = 1_000_000
+"""How long an answer waits for a caller that does not read before its link is closed [us]."""
+
+
+class CannotListenError(OSError):
+    """The hub could not open its endpoint; str() says what to do about it."""
+
+    def __init__(self, endpoints: tuple[str, ...], reason: str) -> None:
+        self.endpoints = endpoints
+        self.reason = reason
+        super().__init__(endpoints, reason)
+
+    def __str__(self) -> str:
+        where = ", ".join(self.endpoints)
+        if "in use" in self.reason:
+            return (
+                f"{where} is already taken, perhaps by another koop-serve or a Zenoh router. "
+                f"Stop that one, or join it with --connect {self.endpoints[0]}, or listen "
+                "elsewhere with --listen tcp/127.0.0.1:7448 (and give the clients the same "
+                "endpoint with --connect)."
+            )
+        return f"cannot listen on {where}: {self.reason}"
+
+
+class UnreachableError(OSError):
+    """None of the routers to connect to is there (yet)."""
+
+
+def zenoh_config(settings: NetworkSettings) -> zenoh.Config:
+    """Zenoh's configuration: a router where we listen, else a client of the routers named."""
+    config = _base(settings.zenoh_config)
+    endpoints = settings.endpoints
+    if settings.zenoh_config is None or endpoints or settings.connect:
+        _set(config, "mode", "router" if endpoints else "client")
+    if endpoints:
+        _set(config, "listen/endpoints", list(endpoints))
+    if settings.connect:
+        _set(config, "connect/endpoints", list(settings.connect))
+    _set(config, "connect/retry", _RETRY)
+    if settings.zenoh_config is None or settings.scouting:
+        _set(config, "scouting/multicast/enabled", settings.scouting)
+        _set(config, "scouting/gossip/enabled", settings.scouting)
+    return config
+
+
+_RETRY = {"period_init_ms": 100, "period_max_ms": 500, "period_increase_factor": 2}
+
+
+def open_session(settings: NetworkSettings) -> zenoh.Session:
+    """Open the session; use it as a context manager, an open one hangs the interpreter's exit.
+
+    Raises CannotListenError, UnreachableError, or OSError for anything else that Zenoh objects to.
+    """
+    config = zenoh_config(settings)
+    try:
+        return zenoh.open(config)
+    except zenoh.ZError as error:
+        reason = str(error).split(" at /")[0]
+        if "listener" in reason or "in use" in reason:
+            raise CannotListenError(settings.endpoints or (LOOPBACK,), reason) from error
+        if "onnect" in reason:
+            raise UnreachableError(f"no router at {', '.join(settings.connect)} yet") from error
+        raise OSError(reason) from error
+
+
+def locators(session: zenoh.Session) -> list[str]:
+    """Endpoints that the session really listens on, port 0 resolved."""
+    status: list[str] = []
+    for reply in session.get(f"@/{session.info.zid()}/*", timeout=2.0):
+        if reply.ok is not None:
+            status += json.loads(reply.ok.payload.to_string()).get("locators", [])
+    return status
+
+
+def _base(path: Path | None) -> zenoh.Config:
+    try:
+        config = zenoh.Config() if path is None else zenoh.Config.from_file(str(path))
+    except zenoh.ZError as error:
+        raise OSError(f"{path} is not a Zenoh configuration: {error}") from error
+    if path is None:
+        _set(config, "transport/link/rx/max_message_size", _LARGEST_MESSAGE)
+        _set(config, "transport/link/tx/queue/congestion_control/block/wait_before_close", _PATIENCE)
+    _set(config, "adminspace/enabled", True)
+    return config
+
+
+def _set(config: zenoh.Config, path: str, value: Any) -> None:
+    config.insert_json5(path, json.dumps(value))

@@ -1,0 +1,123 @@
+"""Golden bytes: version 1 on the wire never changes, in either direction.
+
+The file was written once. A message that no longer matches it breaks every recorded stream and
+every client in another language: raise the version instead of rewriting the file.
+"""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from koop_protocol import (
+    Control,
+    ErrorReply,
+    Frame,
+    LqrQuery,
+    LqrReply,
+    Message,
+    PredictQuery,
+    PredictReply,
+    StateReply,
+    decode,
+    encode,
+)
+
+GOLDEN: dict[str, str] = json.loads(
+    (Path(__file__).parent / "golden" / "messages.json").read_text(encoding="utf-8")
+)
+WHERE = ("cartpole/0", "0123456789abcdef", 7)
+
+EXAMPLES: dict[str, Message] = {
+    "frame uint8": Frame(
+        *WHERE, control_size=1, image=np.array([[0, 1], [128, 255]], np.uint8), renderer="capsules"
+    ),
+    "frame float16, camera": Frame(*WHERE, 0, np.array([[0.0, 0.5, 1.0]], np.float16)),
+    "frame float32, channels": Frame(
+        "line3/robot7", "fedcba9876543210", 2**53 - 1, 64, np.ones((3, 1, 2), np.float32)
+    ),
+    "control": Control(*WHERE, np.array([0.25, -3.0])),
+    "predict query, shortest": PredictQuery(),
+    "predict query, controls": PredictQuery(
+        2, np.array([[1.0], [-1.0]]), frozenset({"codes", "frames", "std"})
+    ),
+    "predict reply, codes": PredictReply(*WHERE, codes=np.array([[0.5, -0.5]])),
+    "predict reply, all": PredictReply(
+        *WHERE,
+        codes=np.array([[1.5, 2.5]], np.float32),
+        frames=np.array([[[9, 8]]], np.uint8),
+        std=np.array([[0.1, 0.2]]),
+    ),
+    "lqr query, image": LqrQuery(
+        10,
+        target_image=np.array([[0, 255]], np.uint8),
+        q=2.0,
+        r=0.5,
+        u_min=np.array([-30.0]),
+        u_max=np.array([30.0]),
+        returns=frozenset({"codes", "frames"}),
+    ),
+    "lqr query, code and matrices": LqrQuery(
+        5,
+        target_code=np.array([1.0, 2.0]),
+        q=np.array([[2.0, 1.0], [1.0, 2.0]]),
+        r=np.array([0.5]),
+    ),
+    "lqr reply": LqrReply(
+        *WHERE,
+        status="solved",
+        cost=1.25,
+        kkt_residual=1e-9,
+        controls=np.array([[3.0], [4.0]]),
+        codes=np.array([[0.0], [1.0]]),
+        frames=np.zeros((2, 1, 1), np.uint8),
+        target_error=0.5,
+    ),
+    "state": StateReply(
+        "cartpole/0",
+        "0123456789abcdef",
+        next_seq=40,
+        model="cartpole",
+        code_size=8,
+        history=2,
+        control_size=1,
+        frames=40,
+        updates=38,
+        warmup_frames=36,
+        ready=True,
+        residual_rms=0.125,
+        spectral_radius=0.75,
+        excitation=2.5,
+        counters={"duplicates": 0, "gaps": 1},
+    ),
+    "error": ErrorReply(
+        "warming_up",
+        "warming up, 12 of 36 frames",
+        {"frames": 12, "warmup_frames": 36, "fraction": 0.5, "model": "cartpole"},
+    ),
+}
+
+
+@pytest.mark.parametrize("name", EXAMPLES)
+def test_encoding_gives_the_golden_bytes(name):
+    assert encode(EXAMPLES[name]).hex() == GOLDEN[name]
+
+
+@pytest.mark.parametrize("name", EXAMPLES)
+def test_decoding_gives_the_golden_message(name):
+    message, expected = decode(bytes.fromhex(GOLDEN[name])), EXAMPLES[name]
+    assert type(message) is type(expected)
+    assert vars(message).keys() == vars(expected).keys()
+    for field, value in vars(expected).items():
+        found = getattr(message, field)
+        assert type(found) is type(value), field
+        assert np.asarray(found).dtype == np.asarray(value).dtype, field
+        assert np.array_equal(found, value), field
+
+
+def test_every_message_type_has_golden_bytes():
+    assert set(GOLDEN) == set(EXAMPLES)
+    assert {type(message) for message in EXAMPLES.values()} == set(Message.__args__)
