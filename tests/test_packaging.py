@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import json
 import os
 import re
 import subprocess
@@ -12,6 +13,7 @@ import zipfile
 from collections.abc import Iterator
 from importlib import metadata
 from pathlib import Path
+from typing import Any
 
 import pytest
 from packaging.requirements import Requirement
@@ -59,12 +61,20 @@ def test_wheel_holds_nothing_but_the_three_packages(wheel: zipfile.ZipFile) -> N
     assert tops == {*ROOMS.values(), f"koop-{PROJECT['version']}.dist-info"}
 
 
+def model_card(weights: bytes) -> dict[str, Any]:
+    """The card in a safetensors file: 8 bytes of length, a JSON header, then the tensors."""
+    length = int.from_bytes(weights[:8], "little")
+    return json.loads(json.loads(weights[8 : 8 + length])["__metadata__"]["card"])
+
+
 def test_bundled_models_travel_with_their_cards(wheel: zipfile.ZipFile) -> None:
-    bundled = [Path(name) for name in wheel.namelist() if "koop_service/weights/" in name]
-    weights = {path.stem for path in bundled if path.suffix == ".safetensors"}
-    cards = {path.stem for path in bundled if path.suffix in {".md", ".json"}}
-    assert weights, "the wheel brings no trained model, so koop-serve without options knows none"
-    assert weights <= cards
+    models = [name for name in wheel.namelist() if name.endswith(".safetensors")]
+    assert models, "the wheel brings no trained model, so koop-serve without options knows none"
+    for name in models:
+        assert name.startswith("koop_service/weights/")
+        card = model_card(wheel.read(name))
+        assert {"seed", "command"} <= set(card["training"]), name
+        assert card["figures"], name
 
 
 @pytest.mark.parametrize("script", PROJECT["scripts"])

@@ -58,6 +58,20 @@ def open_session(
     return _open(config, wait)
 
 
+def flush(session: zenoh.Session, timeout: float = 10.0) -> None:
+    """Wait until what was put has reached the other end of this session's link.
+
+    Closing a session drops what is still on its way, BLOCK or not. A question that nobody needs to
+    answer travels behind it and comes back once it has been handed on.
+
+    Args:
+        session: an open session.
+        timeout: the longest wait [s].
+    """
+    for _ in session.liveliness().get("koop/@flush", timeout=timeout):
+        pass
+
+
 def _client_config() -> zenoh.Config:
     config = zenoh.Config()
     config.insert_json5("mode", '"client"')

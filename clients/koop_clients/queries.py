@@ -184,6 +184,6 @@ def _refusal(payload: bytes) -> KoopError | None:
 def _no_reply(key: str, seconds: float) -> KoopError:
     return KoopError(
         NO_REPLY,
-        f"no reply on {key} within {seconds:g} s; check that `koop-serve` runs, and that this "
-        "session is connected to it",
+        f"nobody answered on {key} (waiting up to {seconds:g} s); check that `koop-serve` runs, "
+        "and that this session is connected to it",
     )

@@ -12,6 +12,7 @@ import numpy as np
 import zenoh
 from numpy.typing import ArrayLike
 
+from koop_clients.connection import flush
 from koop_protocol import Control, Frame, control_key, encode, frame_key
 
 
@@ -32,11 +33,11 @@ class FrameSource:
         from koop_clients.sources import FrameSource
 
         with open_session() as session:
-            source = FrameSource(session, "line3/robot7", control_size=1)
             koop = KoopClient(session)
-            for image, torque in recording:  # (64, 64) uint8, and the torque until the next one
-                source.put_frame(image)
-                source.put_control([torque])
+            with FrameSource(session, "line3/robot7", control_size=1) as source:
+                for image, torque in recording:  # (64, 64) uint8, and the torque until the next
+                    source.put_frame(image)
+                    source.put_control([torque])
             ahead = koop.predict("line3/robot7", horizon=20, returns={"frames"})
             print(ahead.frames.shape)  # (20, 64, 64): the next second, with no torque
     """
@@ -59,6 +60,7 @@ class FrameSource:
         Raises:
             ProtocolError: the name is not valid.
         """
+        self._session = session
         self.trajectory = trajectory
         self.epoch = secrets.token_hex(8)
         self.control_size = control_size
@@ -112,7 +114,11 @@ class FrameSource:
         self._last_control = seq
 
     def close(self) -> None:
-        """Undeclare the publishers (closing the session does so too)."""
+        """Wait until everything put has left, and undeclare the publishers.
+
+        Closing the session without it drops what is still on its way.
+        """
+        flush(self._session)
         self._frames.undeclare()
         self._controls.undeclare()
 

@@ -101,8 +101,9 @@ class ErrorReply:
 
     @classmethod
     def from_error(cls, error: ProtocolError) -> ErrorReply:
-        """The refusal that tells a caller about ``error``."""
-        return cls(error.code, str(error), error.details)
+        """The refusal that tells a caller about ``error``, its text cut to what a message holds."""
+        sentence = str(error).encode("utf-8", "replace")[:MAX_TEXT_BYTES]
+        return cls(error.code, sentence.decode("utf-8", "ignore"), error.details)
 
     def to_error(self) -> ProtocolError:
         """The error that the refusal stands for, to be raised at the caller's end."""

@@ -1,13 +1,35 @@
-"""A Zenoh hub for each test, on a port of its own."""
+"""A Zenoh hub for each test, on a port of its own, and a service that knows the plant by heart."""
 
 from __future__ import annotations
 
 import json
+import signal
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from typing import Any
 
+import numpy as np
 import pytest
 import zenoh
+
+from koop_clients.mechanics.rendering import Renderer
+from koop_clients.mechanics.simulation import Simulator, State, hold
+from koop_clients.mechanics.systems import System
+from koop_protocol import (
+    Control,
+    ErrorReply,
+    Frame,
+    LqrQuery,
+    LqrReply,
+    Message,
+    PredictQuery,
+    PredictReply,
+    decode,
+    decode_as,
+    encode,
+)
+
+WARMUP = 10  # frames
 
 
 @pytest.fixture
@@ -18,6 +40,7 @@ def hub() -> Iterator[zenoh.Session]:
     config.insert_json5("listen/endpoints", '["tcp/127.0.0.1:0"]')
     config.insert_json5("scouting/multicast/enabled", "false")
     config.insert_json5("scouting/gossip/enabled", "false")
+    config.insert_json5("scouting/delay", "0")
     config.insert_json5("adminspace/enabled", "true")
     with zenoh.open(config) as session:
         yield session
@@ -34,3 +57,99 @@ def endpoint(hub: zenoh.Session) -> str:
                 if locators:
                     return str(locators[0])
     raise RuntimeError("the hub does not tell where it listens")
+
+
+@pytest.fixture
+def signals() -> Iterator[None]:
+    """Puts the signal handlers back that a command installed."""
+    kept = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    yield
+    for number, handler in kept.items():
+        signal.signal(number, handler)
+
+
+class Clairvoyant:
+    """A service that simulates the plant itself: its predictions are right to the last bit.
+
+    So any error that a client finds is a mistake in the client's numbering. Controls fold into the
+    state, which therefore is exact only where the torque is held for each frame.
+    """
+
+    def __init__(self, session: zenoh.Session, system: System, start: State) -> None:
+        self.seen: list[Message] = []
+        self._system = system
+        self._simulator, self._renderer = Simulator(system), Renderer(system)
+        self._states = [start]
+        direct: Any = zenoh.handlers.Callback  # in the link's own thread, so in order
+        self._declared = [
+            session.declare_subscriber(f"koop/{kind}/**", direct(self._take, indirect=False))
+            for kind in ("frame", "control")
+        ]
+        self._declared += [
+            session.declare_queryable(f"koop/{kind}/**", direct(handler, indirect=False))
+            for kind, handler in (
+                ("predict", self._predict),
+                ("lqr", self._lqr),
+                ("state", self._state),
+            )
+        ]
+
+    @property
+    def frames(self) -> list[Frame]:
+        """The frames that came."""
+        return [message for message in self.seen if isinstance(message, Frame)]
+
+    @property
+    def controls(self) -> list[Control]:
+        """The controls that came."""
+        return [message for message in self.seen if isinstance(message, Control)]
+
+    def _take(self, sample: zenoh.Sample) -> None:
+        message = decode(bytes(sample.payload))
+        self.seen.append(message)
+        if isinstance(message, Frame) and not message.control_size:
+            self._go(message.seq, 0.0)
+        if isinstance(message, Control):
+            self._go(message.seq, float(message.u[0]))
+
+    def _go(self, seq: int, torque: float) -> None:
+        self._states.append(self._simulator.frame(self._states[seq], hold(torque), seq)[0])
+
+    def _predict(self, query: zenoh.Query) -> None:
+        with query:
+            last = self.frames[-1]
+            if last.seq < WARMUP:
+                details: dict[str, Any] = {"frames": last.seq + 1, "warmup_frames": WARMUP}
+                query.reply_err(encode(ErrorReply("warming_up", "too few frames", details)))
+                return
+            asked = decode_as(PredictQuery, bytes(query.payload or b""))
+            states, state = [], self._states[last.seq]
+            for torque in (
+                np.zeros(asked.horizon) if asked.controls is None else asked.controls[:, 0]
+            ):
+                state = self._simulator.frame(state, hold(float(torque)), 0)[0]
+                states.append(state.q)
+            frames = self._renderer.sequence(np.stack(states))
+            reply = PredictReply(last.trajectory, last.epoch, last.seq, frames=frames)
+            query.reply(query.key_expr, encode(reply))
+
+    def _lqr(self, query: zenoh.Query) -> None:
+        """A stiff PD law to the upright pole, as a plan that repeats its first torque."""
+        with query:
+            last = self.frames[-1]
+            asked = decode_as(LqrQuery, bytes(query.payload or b""))
+            state, pole = self._states[last.seq], self._system.pole
+            torque = -40.0 * state.q[pole] - 8.0 * state.v[pole]
+            plan = np.full((asked.horizon, 1), np.clip(torque, asked.u_min, asked.u_max))
+            reply = LqrReply(last.trajectory, last.epoch, last.seq, "solved", 1.0, 0.0, plan)
+            query.reply(query.key_expr, encode(reply))
+
+    def _state(self, query: zenoh.Query) -> None:
+        with query:
+            query.reply_err(encode(ErrorReply("unknown_trajectory", "no frame has come")))
+
+
+@pytest.fixture
+def clairvoyant(hub: zenoh.Session) -> Callable[[System, State], Clairvoyant]:
+    """Starts a service that knows the given plant and its initial state."""
+    return lambda system, start: Clairvoyant(hub, system, start)

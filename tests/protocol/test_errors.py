@@ -43,6 +43,11 @@ def test_it_reaches_the_other_end_whole():
     assert error.details == {"frames": 12, "warmup_frames": 36}
 
 
+def test_a_long_sentence_is_cut_rather_than_refused():
+    reply = ErrorReply.from_error(ProtocolError(ErrorCode.internal, "\ud800" + "ä" * 5000))
+    assert reply.message == "?" + "ä" * 2047
+
+
 def test_a_code_of_a_later_release_is_kept():
     reply = decode_as(ErrorReply, encode(ErrorReply("a_later_code", "something new")))
     assert reply.code == "a_later_code"

@@ -21,9 +21,15 @@ from koop_clients.mechanics.simulation import FRAME_INTERVAL
 from koop_clients.mechanics.systems import build_system
 from koop_protocol import recording
 
-# Actuated sets mix regimes: soft ones identify A and B, tight ones cover what the paper shows, and
-# free swings what a plant does with its motor off.
-_ACTUATED_MIX = {"soft": 0.5, "soft-hanging": 0.2, "paper": 0.1, "free": 0.2}
+# Actuated sets mix regimes: probing and soft ones identify A and B, tight ones cover what the paper
+# shows, and free swings what a plant does with its motor off.
+_ACTUATED_MIX = {
+    "probing": 0.35,
+    "soft": 0.2,
+    "soft-hanging": 0.1,
+    "paper": 0.15,
+    "free": 0.2,
+}
 
 
 @dataclass(frozen=True)
@@ -40,8 +46,9 @@ class Arguments:
     """Frames in each (50 ms apart); 0 takes the paper's 100, or 200 when actuated."""
     actuated: bool = False
     """Drive the pole's joint, as the paper's section 3.3 does."""
-    excitation: Literal["mix", "paper", "soft"] = "mix"
-    """How an actuated plant is driven: the paper's tight tracking, soft random torque, or a mix."""
+    excitation: Literal["mix", "paper", "probing", "soft"] = "mix"
+    """How an actuated plant is driven: the paper's tight tracking, the same with a probing torque,
+    softly with more of it, or a mix of these and free swings."""
     vary: bool = False
     """Draw masses and lengths anew for each trajectory."""
     high: bool = False

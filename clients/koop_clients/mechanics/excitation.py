@@ -1,9 +1,9 @@
 """What drives a plant while its dynamics are learned: eq. 14's references under eq. 15's PD.
 
 The paper's gains track so tightly that the torque is nearly a function of the state, and then A and
-B cannot be told apart. The `soft` regime, with low gains and a random torque held for each frame,
-keeps them identifiable; `soft-hanging` does so around the hanging position; `free` lets the plant
-swing.
+B cannot be told apart. The `probing` regime adds a multisine torque to it, which keeps them
+identifiable. `soft` has low gains and more of that torque, held for each frame, as a controller
+would; `soft-hanging` does so around the hanging position; `free` lets the plant swing.
 """
 
 from __future__ import annotations
@@ -16,19 +16,23 @@ import numpy as np
 from koop_clients.mechanics.simulation import FRAME_INTERVAL, STEP, Policy, State, hold
 from koop_clients.mechanics.systems import System
 
-Regime = Literal["free", "paper", "soft", "soft-hanging"]
+Regime = Literal["free", "paper", "probing", "soft", "soft-hanging"]
 TORQUE_BOUND = 30.0  # N m
 
 # Largest amplitude [rad] and frequency [Hz] of each of the three sinusoids of a reference (A.2.1).
 _PAPER_REFERENCE = {"pendulum": (np.pi / 3, 0.3), "cartpole": (2 * np.pi / 3, 0.1)}
 _SOFT_REFERENCE = (np.pi / 3, 0.4)
 
-# Of the soft regime: N m/rad, N m s/rad, and the random torque's standard deviation [N m].
+_PAPER_GAINS = (100.0, 10.0)  # N m/rad, N m s/rad
+_PROBING_TORQUE = 3.0  # N m, standard deviation
+
+# Of the soft regime: N m/rad, N m s/rad, and the multisine's standard deviation [N m].
 _SOFT_GAINS = {
     "pendulum": (15.0, 2.5, 4.0),
     "double-pendulum": (15.0, 2.5, 4.0),
     "cartpole": (25.0, 5.0, 6.0),
 }
+_MULTISINE_TERMS, _MULTISINE_BAND = 6, (0.3, 3.0)  # Hz
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,20 +52,30 @@ class Reference:
 
 
 @dataclass(frozen=True, eq=False)
-class Tracking:
-    """PD tracking of a reference (eq. 15), optionally held for each frame and with random torque.
+class Multisine:
+    """A sum of sinusoids: amplitudes [N m], angular rates [rad/s], phases [rad]."""
 
-    A policy: call it with (frame number, step in frame, state). The random part is a function of
-    the seed and the frame number, so that a rewound simulation draws the same torques again.
+    amplitude: np.ndarray
+    rate: np.ndarray
+    phase: np.ndarray
+
+    def __call__(self, time: float) -> float:
+        """Torque [N m] at `time` [s]."""
+        return float(np.sum(self.amplitude * np.sin(self.rate * time + self.phase)))
+
+
+@dataclass(frozen=True, eq=False)
+class Tracking:
+    """PD tracking of a reference (eq. 15), with a torque on top, optionally held for each frame.
+
+    `gains` are N m/rad and N m s/rad.
     """
 
     system: System
     reference: Reference
-    proportional: float  # N m/rad
-    derivative: float  # N m s/rad
-    random_torque: float = 0.0  # N m, standard deviation
+    gains: tuple[float, float]
+    extra: Multisine | None = None
     hold_frame: bool = False
-    seed: int = 0
 
     def policy(self) -> Policy:
         """The torque law; with `hold_frame` it is computed once, at each frame's first step."""
@@ -69,19 +83,18 @@ class Tracking:
 
         def torque(number: int, step: int, state: State) -> float:
             if step == 0 or not self.hold_frame:
-                held[0] = self._torque(number, step, state)
+                held[0] = self._torque(number * FRAME_INTERVAL + step * STEP, state)
             return held[0]
 
         return torque
 
-    def _torque(self, number: int, step: int, state: State) -> float:
-        angle, rate = self.reference(number * FRAME_INTERVAL + step * STEP)
+    def _torque(self, time: float, state: State) -> float:
+        angle, rate = self.reference(time)
         pole = self.system.pole
-        torque = -self.proportional * (state.q[pole] - angle)
-        torque -= self.derivative * (state.v[pole] - rate)
-        if self.random_torque:
-            draw = np.random.default_rng((self.seed, number)).normal()
-            torque += self.random_torque * draw
+        proportional, derivative = self.gains
+        torque = -proportional * (state.q[pole] - angle) - derivative * (state.v[pole] - rate)
+        if self.extra is not None:
+            torque += self.extra(time)
         return float(np.clip(torque, -TORQUE_BOUND, TORQUE_BOUND))
 
 
@@ -91,23 +104,26 @@ def excitation(
     """The torque law of a regime, and the reference that it tracks (None when free)."""
     if regime == "free":
         return hold(0.0), None
-    if regime == "paper":
-        amplitude, frequency = _PAPER_REFERENCE.get(system.name, _PAPER_REFERENCE["pendulum"])
-        reference = _sample_reference(rng, amplitude, frequency)
-        return Tracking(system, reference, proportional=100.0, derivative=10.0).policy(), reference
+    if regime in ("paper", "probing"):
+        limits = _PAPER_REFERENCE.get(system.name, _PAPER_REFERENCE["pendulum"])
+        reference = _sample_reference(rng, *limits)
+        extra = None if regime == "paper" else _sample_multisine(rng, _PROBING_TORQUE)
+        return Tracking(system, reference, _PAPER_GAINS, extra).policy(), reference
     centre = np.pi if regime == "soft-hanging" else 0.0
     reference = _sample_reference(rng, *_SOFT_REFERENCE, centre)
-    proportional, derivative, random_torque = _SOFT_GAINS[system.name]
-    tracking = Tracking(
-        system,
-        reference,
-        proportional,
-        derivative,
-        random_torque,
-        hold_frame=True,
-        seed=int(rng.integers(2**31)),
-    )
-    return tracking.policy(), reference
+    return soft_tracking(system, reference, rng).policy(), reference
+
+
+def soft_tracking(system: System, reference: Reference, rng: np.random.Generator) -> Tracking:
+    """The `soft` regime around a reference of the caller's."""
+    proportional, derivative, spread = _SOFT_GAINS[system.name]
+    extra = _sample_multisine(rng, spread)
+    return Tracking(system, reference, (proportional, derivative), extra, hold_frame=True)
+
+
+def constant_reference(angle: float) -> Reference:
+    """A reference that stays at `angle` [rad]."""
+    return Reference(np.zeros(0), np.zeros(0), np.zeros(0), angle)
 
 
 def _sample_reference(
@@ -118,4 +134,13 @@ def _sample_reference(
         2 * np.pi * rng.uniform(0, frequency, 3),
         rng.uniform(0, 2 * np.pi, 3),
         centre,
+    )
+
+
+def _sample_multisine(rng: np.random.Generator, spread: float) -> Multisine:
+    terms = _MULTISINE_TERMS
+    return Multisine(
+        np.full(terms, spread * np.sqrt(2 / terms)),
+        2 * np.pi * rng.uniform(*_MULTISINE_BAND, terms),
+        rng.uniform(0, 2 * np.pi, terms),
     )

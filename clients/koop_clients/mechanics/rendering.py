@@ -7,10 +7,10 @@ name travels with both, because weights trained on one renderer do not fit anoth
 
 from __future__ import annotations
 
-import coal
+import coal  # pyright: ignore[reportMissingImports]
 import numba
 import numpy as np
-import pinocchio as pin
+import pinocchio as pin  # pyright: ignore[reportMissingImports]
 
 from koop_clients.mechanics.systems import System
 

@@ -12,9 +12,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from koop_service.control.weights import LqrWeights
 from koop_service.prediction.model import LinearModel
-from koop_service.prediction.rollout import check_history, impulse_response, rollout
+from koop_service.prediction.rollout import affine_response, check_history
+
+from .weights import LqrWeights
 
 Array = NDArray[np.float64]
 
@@ -47,7 +48,7 @@ class LqrProblem:
         n, p = model.code_size, model.control_size
         if p == 0:
             raise ValueError("the model has no control input (p = 0); expected an actuated system")
-        if isinstance(horizon, bool) or horizon != int(horizon) or horizon < 1:
+        if isinstance(horizon, bool) or not float(horizon).is_integer() or horizon < 1:
             raise ValueError(f"horizon is {horizon}; expected a whole number of steps, 1 or more")
         target = np.asarray(target, dtype=np.float64)
         if target.shape != (n,):
@@ -109,8 +110,7 @@ def condense(problem: LqrProblem, lower: Array, upper: Array) -> CondensedQP:
     """Substitute the roll-out into eq. 13; `lower` and `upper` (p,) hold at every step."""
     model, N, weights = problem.model, problem.horizon, problem.weights
     with np.errstate(over="ignore", invalid="ignore"):
-        markov = impulse_response(model, model.B, N)
-        free = rollout(model, problem.history, np.zeros((N, model.control_size)))
+        free, markov = affine_response(model, problem.history, N)
         error = free - problem.target
         slope = error @ weights.Q
         return CondensedQP(

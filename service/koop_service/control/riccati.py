@@ -9,8 +9,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from koop_service.control.problem import LqrProblem
 from koop_service.prediction.model import LinearModel
+
+from .problem import LqrProblem
 
 Array = NDArray[np.float64]
 

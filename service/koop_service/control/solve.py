@@ -9,8 +9,8 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from koop_service.control.problem import CondensedQP
-from koop_service.control.proxqp import solve_box
+from .problem import CondensedQP
+from .proxqp import solve_box
 
 Array = NDArray[np.float64]
 
@@ -18,8 +18,8 @@ Status = Literal["solved", "inaccurate", "infeasible", "failed"]
 
 #: Largest relative KKT residual that still counts as solved.
 SOLVED_RESIDUAL = 1e-6
-_ACCURACY = 1e-9
-_ITERATIONS = 1000
+_ACCURACY = 1e-10
+_ITERATIONS = 200
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,13 +43,17 @@ class QPSolution:
 
 def solve_qp(qp: CondensedQP) -> QPSolution:
     """Minimise the QP inside its bounds; a numerical outcome is a status, never an exception."""
-    if not _is_finite(qp):
-        return _solution(qp, np.clip(0.0, qp.lower, qp.upper), "failed", np.inf)
-    u, empty = _proximal_solution(qp)
-    u, residual = _polish(qp, u)
-    if residual <= SOLVED_RESIDUAL:
-        return _solution(qp, u, "solved", residual)
-    return _solution(qp, u, "infeasible" if empty else "inaccurate", residual)
+    # Values near the largest float overflow on the way; the residual then says so.
+    with np.errstate(over="ignore", invalid="ignore"):
+        if not _is_finite(qp):
+            return _failure(qp)
+        u, empty = _proximal_solution(qp)
+        u, residual = _polish(qp, u)
+        cost = qp.cost(u)
+    if not (np.isfinite(residual) and np.isfinite(cost)):
+        return _failure(qp)
+    status = _judge(residual, empty)
+    return QPSolution(u.reshape(-1, qp.control_size), cost, status, residual)
 
 
 def kkt_residual(qp: CondensedQP, u: Array) -> float:
@@ -64,9 +68,14 @@ def kkt_residual(qp: CondensedQP, u: Array) -> float:
 
 def _residual(qp: CondensedQP, u: Array, gradient: Array) -> float:
     scale = 1.0 / np.diagonal(qp.H)
-    step = u - np.clip(u - gradient * scale, qp.lower, qp.upper)
+    step = u - _inside(qp, u - gradient * scale)
     reach = max(float(np.abs(qp.g * scale).max()), float(np.abs(u).max()))
     return float(np.abs(step).max()) / reach if reach > 0.0 else 0.0
+
+
+def _inside(qp: CondensedQP, u: Array) -> Array:
+    """u cut off at the bounds."""
+    return np.minimum(np.maximum(u, qp.lower), qp.upper)
 
 
 def _is_finite(qp: CondensedQP) -> bool:
@@ -74,9 +83,15 @@ def _is_finite(qp: CondensedQP) -> bool:
     return bool(finite)
 
 
-def _solution(qp: CondensedQP, u: Array, status: Status, residual: float) -> QPSolution:
-    cost = qp.cost(u) if status != "failed" else np.inf
-    return QPSolution(u.reshape(-1, qp.control_size), cost, status, residual)
+def _judge(residual: float, empty: bool) -> Status:
+    if residual <= SOLVED_RESIDUAL:
+        return "solved"
+    return "infeasible" if empty else "inaccurate"
+
+
+def _failure(qp: CondensedQP) -> QPSolution:
+    nearest = _inside(qp, np.zeros_like(qp.g))
+    return QPSolution(nearest.reshape(-1, qp.control_size), np.inf, "failed", np.inf)
 
 
 def _proximal_solution(qp: CondensedQP) -> tuple[Array, bool]:
@@ -92,7 +107,7 @@ def _proximal_solution(qp: CondensedQP) -> tuple[Array, bool]:
         iterations=_ITERATIONS,
     )
     u = np.where(np.isfinite(v), v * unit, 0.0)
-    return np.clip(u, qp.lower, qp.upper), empty
+    return _inside(qp, u), empty
 
 
 def _polish(qp: CondensedQP, u: Array) -> tuple[Array, float]:
@@ -102,14 +117,14 @@ def _polish(qp: CondensedQP, u: Array) -> tuple[Array, float]:
     """
     gradient = qp.gradient(u)
     residual = _residual(qp, u, gradient)
-    pushed = u - gradient / np.diagonal(qp.H)
-    snapped = np.where(pushed <= qp.lower, qp.lower, np.where(pushed >= qp.upper, qp.upper, u))
-    free = np.flatnonzero((pushed > qp.lower) & (pushed < qp.upper))
+    snapped = _inside(qp, u - gradient / np.diagonal(qp.H))
+    free = np.flatnonzero((snapped > qp.lower) & (snapped < qp.upper))
+    snapped[free] = u[free]
     try:
         step = np.linalg.solve(qp.H[np.ix_(free, free)], qp.gradient(snapped)[free])
     except np.linalg.LinAlgError:
         return u, residual
     snapped[free] -= step
-    polished = np.clip(snapped, qp.lower, qp.upper)
+    polished = _inside(qp, snapped)
     polished_residual = kkt_residual(qp, polished)
     return (polished, polished_residual) if polished_residual < residual else (u, residual)

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import itertools
+from collections.abc import Callable
+
 import torch
 from torch import Tensor, nn
 
@@ -37,14 +40,14 @@ class Autoencoder(nn.Module):
 
         Left at one it would take Adam hundreds of steps to shrink that single scalar.
         """
-        last = next(m for m in reversed(list(self.decoder.modules())) if _is_norm(m))
+        last = [m for m in self.decoder.modules() if isinstance(m, nn.BatchNorm2d)][-1]
         nn.init.constant_(last.weight, std)
         nn.init.constant_(last.bias, mean)
 
     def freeze_statistics(self) -> None:
         """Normalise by the running statistics from now on, in training as in inference."""
         for module in self.modules():
-            if _is_norm(module):
+            if isinstance(module, nn.BatchNorm2d):
                 module.eval()
 
 
@@ -55,13 +58,11 @@ def initialised(code_size: int, seed: int) -> Autoencoder:
         return Autoencoder(code_size)
 
 
-def _is_norm(module: nn.Module) -> bool:
-    return isinstance(module, nn.BatchNorm2d)
-
-
-def _blocks(block, channels: tuple[int, ...]) -> list[nn.Module]:
-    pairs = list(zip(channels[:-1], channels[1:], strict=True))
-    return [block(a, b, last=i == len(pairs) - 1) for i, (a, b) in enumerate(pairs)]
+def _blocks(
+    block: Callable[[int, int, bool], nn.Module], channels: tuple[int, ...]
+) -> list[nn.Module]:
+    pairs = list(itertools.pairwise(channels))
+    return [block(a, b, i == len(pairs) - 1) for i, (a, b) in enumerate(pairs)]
 
 
 def _encoder_block(inputs: int, outputs: int, last: bool) -> nn.Sequential:

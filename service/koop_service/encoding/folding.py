@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import cast
+
 import torch
 from torch import Tensor, nn
 
@@ -13,7 +15,8 @@ def fold(model: Autoencoder) -> tuple[nn.Module, nn.Module]:
     encoder = nn.Sequential(*(_fold_encoder_block(block) for block in model.encoder))
     decoder = nn.Sequential(*(_fold_decoder_block(block) for block in model.decoder))
     for part in (encoder, decoder):
-        part.eval().requires_grad_(False).to(memory_format=torch.channels_last)
+        part.eval().requires_grad_(False)
+        part.to(memory_format=torch.channels_last)  # pyright: ignore[reportCallIssue]
     return encoder, decoder
 
 
@@ -22,8 +25,8 @@ class _SignedPool(nn.Module):
 
     def __init__(self, sign: Tensor, shift: Tensor) -> None:
         super().__init__()
-        self.register_buffer("sign", sign[:, None, None])
-        self.register_buffer("shift", shift[:, None, None])
+        self.sign = nn.Parameter(sign[:, None, None])
+        self.shift = nn.Parameter(shift[:, None, None])
 
     def forward(self, x: Tensor) -> Tensor:
         return nn.functional.max_pool2d(x, 2) * self.sign + self.shift
@@ -31,27 +34,31 @@ class _SignedPool(nn.Module):
 
 def _fold_encoder_block(block: nn.Module) -> nn.Module:
     conv, pool, norm, *activation = block.children()
-    scale, shift = _affine(norm)
+    conv = cast("nn.Conv2d", conv)
+    scale, shift = _affine(cast("nn.BatchNorm2d", norm))
+    bias = cast("Tensor", conv.bias).detach()
     folded = nn.Conv2d(conv.in_channels, conv.out_channels, 3, padding=1)
-    folded.weight.data = conv.weight.data * scale.abs()[:, None, None, None]
+    folded.weight = nn.Parameter(conv.weight.detach() * scale.abs()[:, None, None, None])
     if bool((scale >= 0).all()):
-        folded.bias.data = conv.bias.data * scale + shift
+        folded.bias = nn.Parameter(bias * scale + shift)
         return nn.Sequential(folded, pool, *activation)
     # max(s x) = s max(x) only for s >= 0.
-    folded.bias.data = conv.bias.data * scale.abs()
+    folded.bias = nn.Parameter(bias * scale.abs())
     return nn.Sequential(folded, _SignedPool(scale.sign(), shift), *activation)
 
 
 def _fold_decoder_block(block: nn.Module) -> nn.Module:
     conv, norm, *activation = block.children()
-    scale, shift = _affine(norm)
+    conv = cast("nn.ConvTranspose2d", conv)
+    scale, shift = _affine(cast("nn.BatchNorm2d", norm))
     folded = nn.ConvTranspose2d(conv.in_channels, conv.out_channels, 2, stride=2)
-    folded.weight.data = conv.weight.data * scale[None, :, None, None]
-    folded.bias.data = conv.bias.data * scale + shift
+    folded.weight = nn.Parameter(conv.weight.detach() * scale[None, :, None, None])
+    folded.bias = nn.Parameter(cast("Tensor", conv.bias).detach() * scale + shift)
     return nn.Sequential(folded, *activation)
 
 
-def _affine(norm: nn.Module) -> tuple[Tensor, Tensor]:
+def _affine(norm: nn.BatchNorm2d) -> tuple[Tensor, Tensor]:
     """BatchNorm in evaluation mode is x -> scale x + shift."""
-    scale = norm.weight.data / torch.sqrt(norm.running_var + norm.eps)
-    return scale, norm.bias.data - norm.running_mean * scale
+    mean, variance = cast("Tensor", norm.running_mean), cast("Tensor", norm.running_var)
+    scale = norm.weight.detach() / torch.sqrt(variance + norm.eps)
+    return scale, norm.bias.detach() - mean * scale

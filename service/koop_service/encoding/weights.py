@@ -13,6 +13,7 @@ from safetensors import SafetensorError, safe_open
 from safetensors.torch import save_file
 
 from koop_service.encoding.autoencoder import IMAGE_SIZE, Autoencoder
+from koop_service.estimation.settings import EstimatorSettings
 
 FORMAT = "koop-autoencoder-1"
 
@@ -25,6 +26,17 @@ class EstimatorDefaults:
     rho: float = 1e-2
     forgetting: float = 1.0
     affine: bool = True
+
+    def settings(self, code_size: int, control_size: int) -> EstimatorSettings:
+        """The estimator settings for codes and controls of these sizes."""
+        return EstimatorSettings(
+            code_size=code_size,
+            history=self.history,
+            control_size=control_size,
+            affine=self.affine,
+            rho=self.rho,
+            forgetting=self.forgetting,
+        )
 
 
 @dataclass(frozen=True)
@@ -72,7 +84,9 @@ def load_weights(path: Path) -> tuple[Autoencoder, ModelCard]:
             tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
         model.load_state_dict(tensors)
     except (SafetensorError, RuntimeError) as error:
-        raise ValueError(f"{path} does not hold the weights that its card names: {error}") from error
+        raise ValueError(
+            f"{path} does not hold the weights that its card names: {error}"
+        ) from error
     if not all(bool(torch.isfinite(t).all()) for t in tensors.values()):
         raise ValueError(f"{path} holds weights that are not finite")
     return model.eval(), card

@@ -18,11 +18,13 @@ where a_i is row i of the estimate last solved, once a cycle. Centred there it i
 of eq. 7 and it does not pull the estimate toward zero. When lambda = 1 nothing is refilled.
 """
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 
 from .compiled import Array, compiled
+from .rotations import rotate
 from .settings import EstimatorSettings
 from .triangular import back_substitute
 from .window import slide
@@ -37,9 +39,9 @@ class Factor:
 
     rows: (d + 2, d + n); [R D] above two scratch rows, the first of which ends in the innovation.
     innovation: (n,) view of that end, overwritten by the next update.
-    anchor: (d, n) Theta^T last solved, toward which the prior is refilled (lambda < 1).
-    centre: (d, n) what the whole prior is centred on (only with a window, which needs it to rebuild).
-    ring: (N, d + n) the last N measurements [w^T y^T] (only with a window; else N = 0).
+    anchor: (d, n) Theta^T last solved, the target of refills (lambda < 1; else (0, n)).
+    centre: (d, n) what the prior as a whole is centred on (for a window's rebuilds; else (0, n)).
+    ring: (N, d + n) the last N measurements [w^T y^T] (without a window N = 0).
     steps: measurements folded.
     """
 
@@ -72,10 +74,24 @@ def init(settings: EstimatorSettings) -> Factor:
     return Factor(
         rows=rows,
         innovation=rows[d, d:],
-        anchor=np.zeros((d, n)),
+        anchor=np.zeros((d if settings.refill_stride else 0, n)),
         centre=np.zeros((d if window else 0, n)),
         ring=np.zeros((window, d + n)),
     )
+
+
+def check(settings: EstimatorSettings, factor: Factor) -> None:
+    """Raises ValueError where a factor, say from a snapshot, does not fit the settings."""
+    expected = init(settings)
+    for name in ("rows", "anchor", "centre", "ring"):
+        found, wanted = getattr(factor, name).shape, getattr(expected, name).shape
+        if found != wanted:
+            raise ValueError(f"the factor's {name} has shape {found}; expected {wanted}")
+    arrays = (factor.R, factor.D, factor.anchor, factor.centre, factor.ring)
+    if not all(np.all(np.isfinite(array)) for array in arrays):
+        raise ValueError("the factor holds a number that is not finite; expected finite ones")
+    if not np.all(np.diag(factor.R) > 0.0) or factor.steps < 0:
+        raise ValueError("the factor's R or steps is impossible; expected R's diagonal positive")
 
 
 def update(factor: Factor, settings: EstimatorSettings, w: Array, y: Array) -> Array:
@@ -99,7 +115,7 @@ def update(factor: Factor, settings: EstimatorSettings, w: Array, y: Array) -> A
             settings.rho,
             settings.forgetting,
             settings.refill_stride,
-            settings.refill_weights,
+            settings.refill_losses,
         )
     if not accepted:
         raise ValueError(_complaint(settings, w, y))
@@ -119,7 +135,8 @@ def fold(rows: Array, w: Array, y: Array) -> bool:
     """Fold (w, y) without forgetting; False, and nothing changed, for an unfit measurement."""
     if not place(rows, w, y):
         return False
-    rotate(rows, rows[w.shape[0]], 0, 1.0)
+    d = w.shape[0]
+    rotate(rows, rows[d], 0, d, 1.0)
     return True
 
 
@@ -135,20 +152,19 @@ def fold_and_forget(
     rho: float,
     forgetting: float,
     stride: int,
-    weights: Array,
+    losses: Array,
 ) -> bool:
     """Fold (w, y) as measurement number `steps` (from 1), with forgetting, refill and window."""
     if not place(rows, w, y):
         return False
     d = w.shape[0]
-    rotate(rows, rows[d], 0, np.sqrt(forgetting))
+    rotate(rows, rows[d], 0, d, math.sqrt(forgetting))
     if ring.shape[0] > 0:
         x = rows[d + 1]
-        x[:d] = w
-        x[d:] = y
-        slide(rows, centre, ring, steps, rho, forgetting, stride)
+        copy_measurement(x, w, y)
+        slide(rows, centre, ring, x, steps, rho, forgetting, stride)
     if stride > 0 and steps % stride == 0:
-        refill(rows, anchor, centre, steps, stride, weights)
+        refill(rows, anchor, centre, steps, rho, stride, losses)
     return True
 
 
@@ -158,62 +174,66 @@ def place(rows: Array, w: Array, y: Array) -> bool:
     d, n = w.shape[0], y.shape[0]
     if rows.shape[0] != d + 2 or rows.shape[1] != d + n:
         return False
-    unfit = 0
-    for j in range(d):
-        unfit += not abs(w[j]) <= LARGEST
-    for j in range(n):
-        unfit += not abs(y[j]) <= LARGEST
-    if unfit:
-        return False
     x = rows[d]
-    for j in range(d):
-        x[j] = w[j]
-    tail = x[d:]
-    for j in range(n):
-        tail[j] = y[j]
-    return True
+    copy_measurement(x, w, y)
+    total = 0.0
+    for j in range(x.shape[0]):
+        total += abs(x[j])
+    return total <= LARGEST
 
 
 @compiled
-def rotate(rows: Array, x: Array, first: int, decay: float) -> None:
-    """Rotate row x (d + n,) into [R D], both scaled by `decay` first; x ends as [.. e^T].
-
-    x must be zero before column `first`. The next pivot is formed ahead of the row's loop: the
-    square root and the divisions are the critical path. Adding 0.0 turns -0.0 into 0.0, so that
-    rotating a row of zeros leaves every bit as it is, which the batched kernel relies on.
-    """
-    b = x[first]
-    for i in range(first, rows.shape[0] - 2):
-        a = decay * rows[i, i]
-        r = np.sqrt(a * a + b * b)
-        c = a / r
-        s = b / r
-        rows[i, i] = r
-        row, rest = rows[i, i + 1 :], x[i + 1 :]
-        b = c * rest[0] - s * (decay * row[0])
-        for j in range(row.shape[0]):
-            t = decay * row[j]
-            v = rest[j]
-            row[j] = (c * t + s * v) + 0.0
-            rest[j] = c * v - s * t
+def copy_measurement(x: Array, w: Array, y: Array) -> None:
+    """x (d + n,) <- [w^T y^T]."""
+    for j in range(w.shape[0]):
+        x[j] = w[j]
+    tail = x[w.shape[0] :]
+    for j in range(y.shape[0]):
+        tail[j] = y[j]
 
 
 @compiled
 def refill(
-    rows: Array, anchor: Array, centre: Array, steps: int, stride: int, weights: Array
+    rows: Array,
+    anchor: Array,
+    centre: Array,
+    steps: int,
+    rho: float,
+    stride: int,
+    losses: Array,
 ) -> None:
-    """Give row i of the prior back what it lost since its last turn (see above)."""
+    """Give row i of the prior back what it lost since its last turn; i goes round with `steps`."""
     d = anchor.shape[0]
     turn = steps // stride - 1
     i = turn % d
     if i == 0:
-        anchor[:] = rows[:d, d:]
-        back_substitute(rows, anchor)
-    weight = weights[min(turn, d - 1)]
+        solve_anchor(rows, anchor)
+    lost = losses[min(turn, d - 1)]
     if centre.shape[0] > 0:
-        centre[i] += (weight * weight) / (rows.shape[0]) * 0.0
+        for j in range(centre.shape[1]):
+            centre[i, j] += lost * (anchor[i, j] - centre[i, j])
     x = rows[d + 1]
-    x[:] = 0.0
+    refill_row(x, anchor, i, math.sqrt(rho * lost))
+    rotate(rows, x, i, d, 1.0)
+
+
+@compiled
+def refill_row(x: Array, anchor: Array, i: int, weight: float) -> None:
+    """x (d + n,) <- weight [e_i | a_i]."""
+    d = anchor.shape[0]
+    for j in range(d):
+        x[j] = 0.0
     x[i] = weight
-    x[d:] = weight * anchor[i]
-    rotate(rows, x, i, 1.0)
+    tail = x[d:]
+    for j in range(anchor.shape[1]):
+        tail[j] = weight * anchor[i, j]
+
+
+@compiled
+def solve_anchor(rows: Array, anchor: Array) -> None:
+    """anchor (d, n) <- R^{-1} D."""
+    d = anchor.shape[0]
+    for i in range(d):
+        for j in range(anchor.shape[1]):
+            anchor[i, j] = rows[i, d + j]
+    back_substitute(rows, anchor)

@@ -5,9 +5,9 @@ Eliminating the multipliers from eq. 7 leaves, from Theta_0 = 0,
     R^T R Theta_k^T = R^T D + rho Theta_{k-1}^T,        R^T R = W W^T + rho I,  R^T D = W Y^T.
 
 Theta_1 is ridge regression; the fixed point is the minimum-norm least-squares solution, also where
-W is singular. Written in differences, Theta_k = Theta_1 + (rho (R^T R)^{-1}) (Theta_{k-1} - ...),
-each iteration only adds a correction that shrinks, so rounding does not build up with k. Always
-started cold: one warm step per measurement drifts on singular data.
+W is singular. It is computed in differences, Theta_{k+1} - Theta_k = rho (R^T R)^{-1} (Theta_k -
+Theta_{k-1}): each iteration adds a correction that shrinks, and rounding does not build up with k.
+Always started cold: one warm step per measurement drifts on singular data.
 
 With forgetting < 1 use refinements = 1 (`EstimatorSettings.solve_iterations`): the refill already
 centres the prior on the last estimate, which is the proximal step; a second would double-count it.
@@ -36,12 +36,14 @@ def solve(R: Array, D: Array, rho: float, refinements: int) -> Array:
 
 
 @compiled
-def _iterate(R: Array, X: Array, rho: float, refinements: int) -> None:
-    """X (d, n): D on entry, Theta_k^T on return."""
-    back_substitute(R, X)
-    correction = X.copy()
+def _iterate(R: Array, Theta_T: Array, rho: float, refinements: int) -> None:
+    """Theta_T (d, n): D on entry, Theta_k^T on return."""
+    back_substitute(R, Theta_T)
+    correction = Theta_T.copy()
     for _ in range(refinements - 1):
         forward_substitute(R, correction)
         back_substitute(R, correction)
-        correction *= rho
-        X += correction
+        for i in range(Theta_T.shape[0]):
+            for j in range(Theta_T.shape[1]):
+                correction[i, j] *= rho
+                Theta_T[i, j] += correction[i, j]

@@ -4,6 +4,10 @@ import math
 from dataclasses import dataclass
 from functools import cached_property
 
+import numpy as np
+
+from .compiled import Array
+
 #: Below this the memory is shorter than two frames, and the prior could underflow between refills.
 LOWEST_FORGETTING = 0.5
 
@@ -77,6 +81,23 @@ class EstimatorSettings:
             return 0
         half_life = math.log(0.5) / math.log(self.forgetting)
         return max(1, int(half_life / self.regressor_size))
+
+    @cached_property
+    def refill_losses(self) -> Array:
+        """(d,) share of rho that a row of the prior lost before its refill, first cycle's order.
+
+        The q-th refill comes (q + 1)*stride steps after the start; from the second cycle on every
+        row waits d*stride steps, like the last one of the first.
+        """
+        waits = self.refill_stride * np.arange(1, self.regressor_size + 1)
+        losses = -np.expm1(waits * math.log(self.forgetting))
+        losses.setflags(write=False)
+        return losses
+
+    @cached_property
+    def keeps_everything(self) -> bool:
+        """Neither forgetting nor a window: the lean update serves."""
+        return self.forgetting == 1.0 and self.window is None
 
     @cached_property
     def solve_iterations(self) -> int:

@@ -1,37 +1,36 @@
 """The stream of one trajectory as a deterministic fold over (epoch, number).
 
-A source's stream is an epoch (a random id chosen at its start) and numbers from 0; control k acts
-between frames k and k+1. The fold joins them by number, never by arrival, into the transitions
-(w_k, z_{k+1}) that the estimator learns from, in the order of k. Reordering is undone within
-`reorder_limit`; what is missing beyond it is given up and counted. The result is exact:
+A source's stream is an epoch (a random id chosen at its start) and numbers from 0. The fold joins
+frames and controls by number, never by arrival, into the transitions (w_k, z_{k+1}) that the
+estimator learns from, in the order of k. What it does is exact:
 
 - Frame s is folded unless more than `reorder_limit` higher frames came before it.
 - Transition k exists when frames k-h+1 ... k+1 were folded; it never straddles a gap.
-- It is emitted unless control k had not come when the `reorder_limit + 1`-th frame after k+1 was
-  folded.
+- It is emitted once, unless control k had not come when `reorder_limit` + 1 frames after frame k+1
+  were folded.
 
-Memory is bounded whatever comes.
+So any interleaving within the limit gives the same transitions. Memory is bounded whatever comes.
 """
 
 from collections import deque
-from dataclasses import dataclass
 from enum import StrEnum
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from koop_service.estimation.settings import EstimatorSettings
+from .compiled import Array
+from .join import ControlJoin, Transition
+from .reorder import FrameOrder, OrderedFrame
+from .settings import EstimatorSettings
 
-Array = NDArray[np.float64]
+__all__ = ["COUNTERS", "Admission", "Stream", "Transition"]
 
-#: Epochs that are remembered as over; a message of theirs is refused.
+#: Epochs remembered as over; a message of theirs is refused.
 RETIRED_EPOCHS = 8
-#: Controls that may wait for their frames, per frame that may.
-CONTROLS_PER_PENDING_FRAME = 8
 
-#: frames and controls: taken. duplicates, late, stale_epoch: refused. gaps, missing_frames,
-#: missing_controls: given up. late_join: epochs whose first frame was not number 0.
+#: Taken: frames (folded), controls. Refused: duplicates, late (given up, or of no use any more),
+#: stale_epoch. Given up: gaps (and the missing_frames in them), missing_controls.
+#: late_join: epochs that did not start with frame 0.
 COUNTERS = (
     "frames",
     "controls",
@@ -46,7 +45,7 @@ COUNTERS = (
 
 
 class Admission(StrEnum):
-    """What the fold would do with a message; only the first two are worth encoding."""
+    """What the fold makes of a message."""
 
     ACCEPTED = "accepted"
     NEW_EPOCH = "new_epoch"
@@ -56,220 +55,186 @@ class Admission(StrEnum):
 
     @property
     def welcome(self) -> bool:
-        """Whether the message would be folded."""
+        """Whether the message is folded, so worth encoding."""
         return self in (Admission.ACCEPTED, Admission.NEW_EPOCH)
 
 
-_COUNTED_AS = {
+_REFUSALS = {
     Admission.DUPLICATE: "duplicates",
     Admission.LATE: "late",
     Admission.STALE_EPOCH: "stale_epoch",
 }
 
 
-@dataclass(frozen=True, eq=False, slots=True)
-class Transition:
-    """A measurement of the model: regressor w (d,) at frame `seq`, next code y (n,)."""
-
-    w: Array
-    y: Array
-    seq: int
-
-
-class _Window(NamedTuple):
-    """Codes (h+1, n) of frames seq-h+1 ... seq+1, waiting for control `seq`."""
-
-    seq: int
-    codes: Array
-    folded: int  # frames folded in this epoch when the window was complete
-
-
 class Stream:
-    """The fold's state. Messages go in, transitions come out; no clock, no log, no I/O."""
+    """The fold's state. Messages go in, transitions come out; no clock, no log, no I/O.
+
+    settings: the estimator's sizes. reorder_limit: frames that may wait for a missing one, 0 or
+    more (else ValueError). counters: see COUNTERS; they count over all epochs.
+    """
 
     def __init__(self, settings: EstimatorSettings, reorder_limit: int = 8) -> None:
-        """reorder_limit: frames that may wait for a missing one. ValueError below 0."""
         if reorder_limit < 0:
             raise ValueError(f"reorder_limit is {reorder_limit}; expected 0 frames or more")
         self.settings = settings
         self.reorder_limit = reorder_limit
-        self.counters = dict.fromkeys(COUNTERS, 0)
+        self.counters: dict[str, int] = dict.fromkeys(COUNTERS, 0)
+        self.epoch: str | None = None
         self._retired: deque[str] = deque(maxlen=RETIRED_EPOCHS)
-        self._begin(None)
+        self._order = FrameOrder(reorder_limit)
+        self._join = ControlJoin(settings, reorder_limit)
 
-    def _begin(self, epoch: str | None) -> None:
-        self.epoch = epoch
-        self.next_seq = 0
-        self.frames = 0  # folded in this epoch
-        self._run_start: int | None = None  # first frame since the last gap
-        self._run: deque[Array] = deque(maxlen=self.settings.history + 1)
-        self._pending: dict[int, Array] = {}
-        self._windows: deque[_Window] = deque()
-        self._controls: dict[int, Array] = {}
-        self._spent: tuple[int, Array] | None = None  # highest control no longer needed
+    @property
+    def retired(self) -> tuple[str, ...]:
+        """The epochs that are over, oldest first, the last 8."""
+        return tuple(self._retired)
 
-    # What the caller may ask
+    @property
+    def next_seq(self) -> int:
+        """The number of the next frame to fold: one more than the newest folded frame's."""
+        return self._order.next_seq
+
+    @property
+    def frames(self) -> int:
+        """Frames folded in this epoch."""
+        return self._join.frames
 
     @property
     def history(self) -> Array | None:
-        """The newest codes (h, n), oldest first, or None while they are not contiguous."""
-        h = self.settings.history
-        return np.array(list(self._run)[-h:]) if len(self._run) >= h else None
+        """Codes (h, n) of frames next_seq-h ... next_seq-1, or None while a gap is among them."""
+        return self._join.history
 
     @property
     def last_control(self) -> tuple[int, Array] | None:
         """Number and value (p,) of the newest control up to the newest folded frame, or None."""
-        known = [(seq, u) for seq, u in self._controls.items() if seq < self.next_seq]
-        if self._spent is not None:
-            known.append(self._spent)
-        return max(known, key=lambda item: item[0], default=None)
+        return self._join.last_control
 
     @property
     def missing(self) -> tuple[int, int] | None:
-        """Frames [start, stop) that later ones wait for: what to ask a source to replay."""
-        return (self.next_seq, min(self._pending)) if self._pending else None
+        """Frames [start, stop) that later ones wait for, or None: what to ask a source for."""
+        return self._order.missing
 
     @property
     def replay_from(self) -> int:
-        """Lowest number whose frame or control can still change the fold."""
-        return self._windows[0].seq if self._windows else max(self.next_seq - 1, 0)
-
-    # Folding
+        """Lowest number whose frame or control can still change the fold: replay from there."""
+        return self._join.first_needed
 
     def admit_frame(self, epoch: str, seq: int) -> Admission:
-        """What `fold_frame` would do now. A refusal is counted here, so do not fold it as well.
+        """What `fold_frame` would make of this frame now, to ask before encoding it.
 
-        Nothing else changes: an epoch turns over when its first message is folded. The caller
-        resets the estimator when `epoch` has changed across a fold.
+        A refusal is counted here, so a refused frame need not be folded. Nothing else changes: an
+        epoch turns over when its first message is *folded*; reset the estimator whenever `epoch`
+        differs after a fold.
         """
-        admission = self._admission(epoch, seq, self._judge_frame)
-        self._count_refusal(admission)
-        return admission
+        if epoch != self.epoch:
+            return self._count(self._admit_epoch(epoch))
+        if self._order.is_duplicate(seq):
+            return self._count(Admission.DUPLICATE)
+        return self._count(Admission.LATE if self._order.is_late(seq) else Admission.ACCEPTED)
 
     def fold_frame(self, epoch: str, seq: int, code: Array) -> list[Transition]:
-        """Fold the code (n,) of frame `seq`; the transitions that this completes, in order.
+        """Fold the code (n,) of frame `seq`; the transitions that it completes, in order.
 
-        Raises ValueError for a code of the wrong shape, NaN or infinity, and a negative number.
+        Raises ValueError for a wrong shape, NaN, infinity or a negative number.
         """
         code = _checked("code", code, self.settings.code_size, seq)
-        admission = self.admit_frame(epoch, seq)
-        if not admission.welcome:
+        if not self.admit_frame(epoch, seq).welcome:
             return []
         self._turn_over(epoch)
-        self._pending[seq] = code
-        return self._drain()
+        self._order.add(seq, code)
+        transitions: list[Transition] = []
+        while (frame := self._order.pop()) is not None:
+            self._count_frame(frame)
+            transitions += self._join.add_frame(frame.seq, frame.code)
+        return self._counted(transitions)
 
     def fold_control(self, epoch: str, seq: int, u: Array) -> list[Transition]:
-        """Fold control `seq` (p,); errors as in `fold_frame`. Not for unforced streams (p = 0)."""
+        """Fold control `seq` (p,), which acted between frames seq and seq+1; as `fold_frame`."""
         u = _checked("control", u, self.settings.control_size, seq)
-        admission = self._admission(epoch, seq, self._judge_control)
-        self._count_refusal(admission)
-        if not admission.welcome:
+        if not self._admit_control(epoch, seq).welcome:
             return []
         self._turn_over(epoch)
-        self._store_control(seq, u)
-        return self._emit()
+        self.counters["controls"] += 1
+        return self._counted(self._join.add_control(seq, u))
 
-    def _admission(self, epoch: str, seq: int, judge: "_Judge") -> Admission:
-        if epoch in self._retired:
-            return Admission.STALE_EPOCH
-        return judge(seq) if epoch == self.epoch else Admission.NEW_EPOCH
+    def _admit_control(self, epoch: str, seq: int) -> Admission:
+        if epoch != self.epoch:
+            return self._count(self._admit_epoch(epoch))
+        if self._join.has_control(seq):
+            return self._count(Admission.DUPLICATE)
+        needed = self._join.needs_control(seq)
+        return self._count(Admission.ACCEPTED if needed else Admission.LATE)
 
-    def _judge_frame(self, seq: int) -> Admission:
-        if seq >= self.next_seq:
-            return Admission.DUPLICATE if seq in self._pending else Admission.ACCEPTED
-        # Every frame since the last gap was folded; before it, nobody remembers which.
-        folded = self._run_start is not None and seq >= self._run_start
-        return Admission.DUPLICATE if folded else Admission.LATE
-
-    def _judge_control(self, seq: int) -> Admission:
-        if seq in self._controls:
-            return Admission.DUPLICATE
-        return Admission.ACCEPTED if self._needs_control(seq) else Admission.LATE
-
-    def _needs_control(self, seq: int) -> bool:
-        return seq + 1 >= self.next_seq or any(window.seq == seq for window in self._windows)
-
-    def _count_refusal(self, admission: Admission) -> None:
-        if not admission.welcome:
-            self.counters[_COUNTED_AS[admission]] += 1
+    def _admit_epoch(self, epoch: str) -> Admission:
+        return Admission.STALE_EPOCH if epoch in self._retired else Admission.NEW_EPOCH
 
     def _turn_over(self, epoch: str) -> None:
         if epoch == self.epoch:
             return
         if self.epoch is not None:
             self._retired.append(self.epoch)
-        self._begin(epoch)
+        self.epoch = epoch
+        self._order = FrameOrder(self.reorder_limit)
+        self._join = ControlJoin(self.settings, self.reorder_limit)
 
-    def _drain(self) -> list[Transition]:
-        """Fold every pending frame whose turn has come."""
-        transitions: list[Transition] = []
-        while self._pending:
-            if self.next_seq not in self._pending:
-                if len(self._pending) <= self.reorder_limit:
-                    break
-                self._skip_to(min(self._pending))
-            self._advance(self._pending.pop(self.next_seq))
-            transitions += self._emit()
-        return transitions
+    def _count(self, admission: Admission) -> Admission:
+        if admission in _REFUSALS:
+            self.counters[_REFUSALS[admission]] += 1
+        return admission
 
-    def _skip_to(self, seq: int) -> None:
-        """Give up the frames before `seq`: the history starts again there."""
-        if self._run_start is None:
-            self.counters["late_join"] += 1
-        else:
-            self.counters["gaps"] += 1
-            self.counters["missing_frames"] += seq - self.next_seq
-        self._run.clear()
-        self._run_start = None
-        self.next_seq = seq
-
-    def _advance(self, code: Array) -> None:
-        """Fold the code of frame `next_seq`."""
-        if self._run_start is None:
-            self._run_start = self.next_seq
-        self._run.append(code)
-        self.next_seq += 1
-        self.frames += 1
+    def _count_frame(self, frame: OrderedFrame) -> None:
         self.counters["frames"] += 1
-        if len(self._run) > self.settings.history:
-            self._windows.append(_Window(self.next_seq - 2, np.array(self._run), self.frames))
-        self._forget_controls()
+        if frame.skipped and self.frames == 0:
+            self.counters["late_join"] += 1
+        elif frame.skipped:
+            self.counters["gaps"] += 1
+            self.counters["missing_frames"] += frame.skipped
 
-    def _emit(self) -> list[Transition]:
-        """Take the windows whose control has come or is given up, oldest first."""
-        transitions: list[Transition] = []
-        while self._windows:
-            window = self._windows[0]
-            if self.settings.control_size and window.seq not in self._controls:
-                if self.frames - window.folded <= self.reorder_limit:
-                    break
-                self.counters["missing_controls"] += 1
-            else:
-                transitions.append(self._transition(window))
-            self._windows.popleft()
-            self._forget_controls()
+    def _counted(self, transitions: list[Transition]) -> list[Transition]:
+        self.counters["missing_controls"] += self._join.given_up
+        self._join.given_up = 0
         return transitions
 
-    def _transition(self, window: _Window) -> Transition:
-        h, d = self.settings.history, self.settings.regressor_size
-        w = np.ones(d)  # the last entry stays 1 when affine
-        hn = h * self.settings.code_size
-        w[:hn] = window.codes[:h].reshape(-1)
-        if self.settings.control_size:
-            w[hn : hn + self.settings.control_size] = self._controls[window.seq]
-        return Transition(w, window.codes[h], window.seq)
+    def snapshot(self) -> dict[str, Any]:
+        """A plain dict of numbers, strings, lists and arrays that `restore` continues from."""
+        return {
+            "sizes": _sizes(self.settings),
+            "reorder_limit": self.reorder_limit,
+            "epoch": self.epoch,
+            "retired": list(self._retired),
+            "counters": dict(self.counters),
+            "order": self._order.snapshot(),
+            "join": self._join.snapshot(),
+        }
 
-    def _store_control(self, seq: int, u: Array) -> None:
-        """Keep it; where too many wait, the one furthest ahead goes: it is the least likely used."""
-        self.counters["controls"] += 1
-        self._controls[seq] = u
-        if len(self._controls) > CONTROLS_PER_PENDING_FRAME * (self.reorder_limit + 2):
-            del self._controls[max(self._controls)]
+    @classmethod
+    def restore(cls, settings: EstimatorSettings, snapshot: dict[str, Any]) -> "Stream":
+        """The stream that `snapshot` was taken of; ValueError when its sizes are others."""
+        if list(snapshot["sizes"]) != _sizes(settings):
+            raise ValueError(
+                f"snapshot has sizes (n, h, p) = {snapshot['sizes']}; expected {_sizes(settings)}:"
+                " it belongs to another model"
+            )
+        stream = cls(settings, int(snapshot["reorder_limit"]))
+        stream.epoch = snapshot["epoch"]
+        stream._retired.extend(snapshot["retired"])
+        stream.counters.update(snapshot["counters"])
+        stream._order.restore(snapshot["order"])
+        stream._join.restore(snapshot["join"])
+        return stream
 
-    def _forget_controls(self) -> None:
-        """Drop the controls that no window, present or future, can ask for."""
-        for seq in [seq for seq in self._controls if not self._needs_control(seq)]:
-            u = self._controls.pop(seq)
-            if self._spent is None or seq > self._spent[0]:
-                self._spent = (seq, u)
+
+def _sizes(settings: EstimatorSettings) -> list[int]:
+    return [settings.code_size, settings.history, settings.control_size]
+
+
+def _checked(name: str, vector: Array, size: int, seq: int) -> Array:
+    """A private float64 copy: what is kept must not change under the caller's hands."""
+    if seq < 0:
+        raise ValueError(f"{name} has number {seq}; expected 0 or more")
+    vector = np.array(vector, dtype=np.float64)
+    if vector.shape != (size,):
+        raise ValueError(f"{name} {seq} has shape {vector.shape}; expected ({size},)")
+    if not np.isfinite(vector).all():
+        raise ValueError(f"{name} {seq} has NaN or infinity; expected finite numbers")
+    return vector

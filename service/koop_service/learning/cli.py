@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import json
 import shlex
 import sys
 from dataclasses import dataclass
@@ -13,10 +14,14 @@ import torch
 import tyro
 
 from koop_service.encoding.autoencoder import Autoencoder
-from koop_service.encoding.weights import EstimatorDefaults, ModelCard, save_weights
+from koop_service.encoding.image_codec import ImageCodec
+from koop_service.encoding.weights import EstimatorDefaults, ModelCard, load_weights, save_weights
+from koop_service.learning.evaluation import encode_all, evaluate, select
 from koop_service.learning.presets import PRESETS, Preset
 from koop_service.learning.recording import Recording, load_recording
 from koop_service.learning.train import train
+
+HELD_OUT = 0.04  # share of the trajectories, the last ones, that training never sees
 
 
 @dataclass(frozen=True)
@@ -31,6 +36,10 @@ class Arguments:
     """Schedule: cpu (about an hour on 2 cores) or smoke (seconds, to see that all is well)."""
     seed: int = 0
     """Seed; the same seed, machine and thread count give the same weights."""
+    start_from: Path | None = None
+    """Weights to go on from, instead of warming up a fresh autoencoder."""
+    steps: int = 0
+    """Steps of the second stage; 0 takes the preset's."""
     threads: int = 0
     """Threads; 0 lets torch choose."""
 
@@ -45,26 +54,49 @@ def main() -> None:
 
 
 def run(arguments: Arguments) -> None:
-    """Load, train, and write the weights (also every hundred steps on the way)."""
+    """Load, train, judge on held-out trajectories, and write the weights (also on the way)."""
     if arguments.preset not in PRESETS:
         raise ValueError(f"unknown preset {arguments.preset!r}; there are {', '.join(PRESETS)}")
     if arguments.threads:
         torch.set_num_threads(arguments.threads)
     preset = PRESETS[arguments.preset]
+    if arguments.steps:
+        preset = dataclasses.replace(preset, steps=arguments.steps)
     recording = load_recording(arguments.recording)
-    needed = preset.fit_frames + preset.horizon + 4
-    if recording.frames.shape[1] < needed:
+    if recording.frames.shape[1] < preset.length:
         raise ValueError(
             f"{arguments.recording} has trajectories of {recording.frames.shape[1]} frames; "
-            f"preset {arguments.preset} needs at least {needed}"
+            f"preset {arguments.preset} needs at least {preset.length}"
         )
+    seen, unseen = recording.split(HELD_OUT)
     card = model_card(recording, preset, arguments)
 
     def keep(model: Autoencoder) -> None:
         save_weights(arguments.out, model, card)
 
-    keep(train(recording, preset, arguments.seed, keep))
-    print(f"wrote {arguments.out}")
+    warm = _start(arguments.start_from, recording) if arguments.start_from else None
+    model = train(seen, preset, arguments.seed, keep, warm)
+    card = judged(ImageCodec(model, card), unseen)
+    save_weights(arguments.out, model, card)
+    print(f"wrote {arguments.out}\n{json.dumps(card.figures, indent=2)}")
+
+
+def _start(path: Path, recording: Recording) -> Autoencoder:
+    model, card = load_weights(path)
+    if card.renderer != recording.renderer:
+        raise ValueError(
+            f"{path} was trained on frames drawn by {card.renderer!r}, the recording holds frames "
+            f"drawn by {recording.renderer!r}; train afresh, without --start-from"
+        )
+    return model
+
+
+def judged(codec: ImageCodec, unseen: Recording) -> ModelCard:
+    """The codec's card with the best estimator settings, and figures, on `unseen`."""
+    trajectories = encode_all(codec, unseen)
+    chosen = select(trajectories, codec.card.estimator)
+    figures = dataclasses.asdict(evaluate(codec, trajectories, chosen))
+    return dataclasses.replace(codec.card, estimator=chosen, figures=figures)
 
 
 def model_card(recording: Recording, preset: Preset, arguments: Arguments) -> ModelCard:

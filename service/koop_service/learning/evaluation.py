@@ -1,16 +1,20 @@
 """How well a trained model predicts trajectories that it has never seen, as the service would.
 
-At every `stride`-th frame after warm-up the streaming estimate predicts `max(HORIZONS)` frames with
+At every `STRIDE`-th frame after warm-up the streaming estimate predicts `max(HORIZONS)` frames with
 the true future controls; the decoded frames are compared with the true ones.
 """
 
 from __future__ import annotations
 
+import dataclasses
+import itertools
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 
 from koop_service.encoding.image_codec import ImageCodec
+from koop_service.encoding.weights import EstimatorDefaults
 from koop_service.estimation import factor
 from koop_service.estimation.proximal import solve
 from koop_service.estimation.settings import EstimatorSettings
@@ -19,6 +23,20 @@ from koop_service.prediction.model import LinearModel
 from koop_service.prediction.rollout import rollout
 
 HORIZONS = (1, 2, 5, 10, 20)  # frames
+STRIDE = 10  # frames between two predictions that are judged
+
+# What `select` chooses from.
+_FORGETTING = (0.95, 0.97, 0.985, 1.0)
+_RHO = (1e-3, 1e-2, 1e-1, 1.0)
+
+
+@dataclass(frozen=True, eq=False)
+class Encoded:
+    """One trajectory: `images` (T, H, W) in [0, 1], `codes` (T, n), `controls` (T-1, p)."""
+
+    images: np.ndarray
+    codes: np.ndarray
+    controls: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -30,64 +48,82 @@ class Evaluation:
     repeat_last: dict[int, float]
 
 
-def evaluate(
-    codec: ImageCodec,
-    recording: Recording,
-    settings: EstimatorSettings,
-    trajectories: int,
-    stride: int = 10,
-) -> Evaluation:
-    """Full-update prediction errors on the first `trajectories` of `recording`."""
-    parts = [
-        _errors(codec, recording.frames[i], recording.controls[i], settings, stride)
-        for i in range(min(trajectories, len(recording.frames)))
+def encode_all(codec: ImageCodec, recording: Recording) -> list[Encoded]:
+    """Every trajectory of `recording` with its codes."""
+    return [
+        Encoded(frames / 255.0, codec.encode(frames), controls)
+        for frames, controls in zip(recording.frames, recording.controls, strict=True)
     ]
-    reconstruction, predicted, repeated = (
-        np.sqrt(np.mean(np.concatenate(errors), axis=0)) for errors in zip(*parts, strict=True)
+
+
+def evaluate(
+    codec: ImageCodec, trajectories: list[Encoded], defaults: EstimatorDefaults
+) -> Evaluation:
+    """Prediction errors with an estimate updated at every frame (the paper's full updates)."""
+    errors = [_errors(codec, trajectory, defaults) for trajectory in trajectories]
+    predicted, repeated = (
+        np.sqrt(np.concatenate(part).mean(0)) for part in zip(*errors, strict=True)
     )
-    by_horizon = range(len(HORIZONS))
+    squared = [((codec.decode(t.codes) - t.images) ** 2).mean() for t in trajectories]
     return Evaluation(
-        float(reconstruction),
-        {HORIZONS[i]: float(predicted[i]) for i in by_horizon},
-        {HORIZONS[i]: float(repeated[i]) for i in by_horizon},
+        float(np.sqrt(np.mean(squared))),
+        dict(zip(HORIZONS, predicted.tolist(), strict=True)),
+        dict(zip(HORIZONS, repeated.tolist(), strict=True)),
     )
+
+
+def select(trajectories: list[Encoded], defaults: EstimatorDefaults) -> EstimatorDefaults:
+    """The forgetting factor and rho with the least squared code error over all horizons."""
+    choices = [
+        dataclasses.replace(defaults, forgetting=forgetting, rho=rho)
+        for forgetting, rho in itertools.product(_FORGETTING, _RHO)
+    ]
+    return min(choices, key=lambda choice: _code_error(trajectories, choice))
+
+
+def _code_error(trajectories: list[Encoded], defaults: EstimatorDefaults) -> float:
+    """Mean over horizons of log relative code error: robust, since some restarts diverge."""
+    spread = np.concatenate([t.codes for t in trajectories]).var(0).mean()
+    logs = [
+        np.log1p(10 * ((ahead - t.codes[start + 1 : start + 1 + len(ahead)]) ** 2) / spread)
+        for t in trajectories
+        for start, ahead in _predictions(t, defaults)
+    ]
+    return float(np.mean(logs))
 
 
 def _errors(
-    codec: ImageCodec,
-    frames: np.ndarray,
-    controls: np.ndarray,
-    settings: EstimatorSettings,
-    stride: int,
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Mean squared pixel errors: (T,) of reconstruction, (restarts, horizons) of the other two."""
-    codes = codec.encode(frames)
-    images = frames / 255.0
-    reconstruction = ((codec.decode(codes) - images) ** 2).mean((1, 2))
-    h, steps = settings.history, np.array(HORIZONS)
-    state = factor.init(settings)
+    codec: ImageCodec, trajectory: Encoded, defaults: EstimatorDefaults
+) -> tuple[np.ndarray, np.ndarray]:
+    """Mean squared pixel errors (restarts, horizons) of prediction and of repeating a frame."""
+    steps = np.array(HORIZONS)
     predicted, repeated = [], []
-    for t in range(h - 1, len(frames) - 1):
-        if t >= settings.warmup_frames and t % stride == 0 and t + steps[-1] < len(frames):
-            model = _model(state, settings)
-            ahead = rollout(model, codes[t - h + 1 : t + 1], controls[t : t + steps[-1]])
-            truth = images[t + steps]
-            decoded = codec.decode(ahead[steps - 1])
-            predicted.append(((decoded - truth) ** 2).mean((1, 2)))
-            repeated.append(((images[t] - truth) ** 2).mean((1, 2)))
-        factor.update(state, settings, regressor(codes, controls, t, settings), codes[t + 1])
-    return reconstruction, np.array(predicted), np.array(repeated)
+    for start, ahead in _predictions(trajectory, defaults):
+        truth = trajectory.images[start + steps]
+        decoded = codec.decode(ahead[steps - 1])
+        predicted.append(((decoded - truth) ** 2).mean((1, 2)))
+        repeated.append(((trajectory.images[start] - truth) ** 2).mean((1, 2)))
+    return np.array(predicted), np.array(repeated)
 
 
-def regressor(
+def _predictions(
+    trajectory: Encoded, defaults: EstimatorDefaults
+) -> Iterator[tuple[int, np.ndarray]]:
+    """(last known frame, predicted codes (K, n)) along one trajectory, as it streams."""
+    codes, controls = trajectory.codes, trajectory.controls
+    settings = defaults.settings(codes.shape[1], controls.shape[1])
+    state, h, ahead = factor.init(settings), settings.history, max(HORIZONS)
+    for t in range(h - 1, len(codes) - 1):
+        if t >= settings.warmup_frames and t % STRIDE == 0 and t + ahead < len(codes):
+            theta = solve(state.R, state.D, settings.rho, settings.solve_iterations)
+            model = LinearModel.from_theta(theta, settings)
+            yield t, rollout(model, codes[t - h + 1 : t + 1], controls[t : t + ahead])
+        factor.update(state, settings, _regressor(codes, controls, t, settings), codes[t + 1])
+
+
+def _regressor(
     codes: np.ndarray, controls: np.ndarray, t: int, settings: EstimatorSettings
 ) -> np.ndarray:
     """w_t = [z_{t-h+1}; ...; z_t; u_t; 1] (d,)."""
     past = codes[t - settings.history + 1 : t + 1].ravel()
-    constant = np.ones(int(settings.affine))
-    return np.concatenate([past, controls[t, : settings.control_size], constant])
-
-
-def _model(state: factor.Factor, settings: EstimatorSettings) -> LinearModel:
-    theta = solve(state.R, state.D, settings.rho, settings.solve_iterations)
-    return LinearModel.from_theta(theta, settings)
+    return np.concatenate([past, controls[t], np.ones(int(settings.affine))])

@@ -44,11 +44,11 @@ def loss(
     windows, length = batch.images.shape[:2]
     flat = batch.images.flatten(0, 1)[:, None].contiguous(memory_format=torch.channels_last)
     codes = model.encode(flat).unflatten(0, (windows, length))
-    fitted = preset.fit_frames
+    fitted = int(rng.integers(preset.fit_frames[0], preset.fit_frames[1] + 1))
     W, Y = regressors(codes[:, :fitted], batch.controls[:, : fitted - 1], preset.history)
     theta = proximal_solve(W, Y, preset.rho, preset.refinements)
 
-    restarts = _restarts(windows, length, horizon, preset, rng)
+    restarts = _restarts(windows, fitted, length - 1 - horizon, preset, rng)
     predicted, target_index = _predict(theta, codes, batch.controls, restarts, horizon, preset)
     targets = _pick(codes, target_index)
     spread = codes.detach().flatten(0, 1).var(0).mean()
@@ -68,14 +68,13 @@ def loss(
 
 
 def _restarts(
-    windows: int, length: int, horizon: int, preset: Preset, rng: np.random.Generator
+    windows: int, fitted: int, last: int, preset: Preset, rng: np.random.Generator
 ) -> Tensor:
-    """Frames (B, S) to start from: half inside the fitted part, half at its end or after it."""
+    """Frames (B, S) to start from: half inside the fitted part, half from its end to `last`."""
     half = preset.restarts // 2
-    inside = rng.integers(preset.history - 1, preset.fit_frames - 1, (windows, half))
-    last = length - 1 - horizon
-    after = rng.integers(preset.fit_frames - 1, last + 1, (windows, preset.restarts - half))
-    return torch.from_numpy(np.concatenate([np.minimum(inside, last), after], 1))
+    inside = rng.integers(preset.history - 1, fitted - 1, (windows, half))
+    after = rng.integers(fitted - 1, last + 1, (windows, preset.restarts - half))
+    return torch.from_numpy(np.concatenate([inside, after], 1))
 
 
 def _predict(

@@ -10,18 +10,20 @@ class Preset:
     """One schedule.
 
     Warm-up: the autoencoder alone on `warmup_steps` batches of `warmup_batch` single frames. Then
-    `steps` batches of `windows` windows: each is fitted on its first `fit_frames` frames, and
-    predicted from `restarts` measured histories over a horizon that grows to `horizon` frames.
-    `reconstructed` and `predicted` frames of a batch are decoded. Adam, cosine decay, gradient
-    norm clipped.
+    `steps` batches of `windows` windows of `length` frames: each is fitted on its first frames, as
+    many as drawn from `fit_frames` for the batch, and predicted from `restarts` measured histories
+    over a horizon that grows to `horizon` frames within the share `growth` of the steps.
+    `reconstructed` and `predicted` frames of a batch are decoded. Adam, cosine decay, gradient norm
+    clipped.
     """
 
-    warmup_steps: int = 2000
+    warmup_steps: int = 4500
     warmup_batch: int = 128
     warmup_rate: float = 3e-3
-    steps: int = 4000
-    windows: int = 6
-    fit_frames: int = 48
+    steps: int = 5000
+    windows: int = 4
+    length: int = 112
+    fit_frames: tuple[int, int] = (40, 88)
     horizon: int = 20
     restarts: int = 8
     reconstructed: int = 96

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import h5py
 import hdf5plugin  # noqa: F401  (registers the Zstandard filter)
 import numpy as np
-from koop_protocol import recording as names
 
+from koop_protocol import recording as names
 from koop_service.encoding.autoencoder import IMAGE_SIZE
 
 
@@ -28,6 +29,17 @@ class Recording:
     dt: float
     seed: int
 
+    def split(self, held_out: float) -> tuple[Recording, Recording]:
+        """(seen, unseen): the last `held_out` share of the trajectories, one or more, is unseen."""
+        count = len(self.frames)
+        first = count - max(1, round(held_out * count))
+        if first < 1:
+            raise ValueError(f"the recording has {count} trajectory; training needs at least 2")
+        return self._part(slice(0, first)), self._part(slice(first, count))
+
+    def _part(self, which: slice) -> Recording:
+        return replace(self, frames=self.frames[which], controls=self.controls[which])
+
 
 def load_recording(path: Path) -> Recording:
     """Read `path` whole. Raises ValueError saying what is wrong with it."""
@@ -37,10 +49,10 @@ def load_recording(path: Path) -> Recording:
         raise ValueError(f"{path} cannot be read as HDF5: {error}") from error
     with file:
         _check(path, file)
-        attributes = file.attrs
+        attributes: dict[str, Any] = dict(file.attrs)
         return Recording(
-            frames=file[names.FRAMES_DATASET][:],
-            controls=file[names.CONTROLS_DATASET][:],
+            frames=_dataset(path, file, names.FRAMES_DATASET)[:],
+            controls=_dataset(path, file, names.CONTROLS_DATASET)[:],
             system=str(attributes[names.SYSTEM_ATTRIBUTE]),
             renderer=str(attributes[names.RENDERER_ATTRIBUTE]),
             dt=float(attributes[names.DT_ATTRIBUTE]),
@@ -51,13 +63,13 @@ def load_recording(path: Path) -> Recording:
 def _check(path: Path, file: h5py.File) -> None:
     if file.attrs.get(names.FORMAT_ATTRIBUTE) != names.RECORDING_FORMAT:
         raise ValueError(f"{path} is not a koop recording; make one with koop-dataset")
-    version = int(file.attrs[names.VERSION_ATTRIBUTE])
+    version: Any = file.attrs.get(names.VERSION_ATTRIBUTE)
     if version != names.RECORDING_VERSION:
         raise ValueError(
-            f"{path} is a recording of version {version}; this koop reads "
-            f"{names.RECORDING_VERSION}"
+            f"{path} is a recording of version {version}; this koop reads {names.RECORDING_VERSION}"
         )
-    frames, controls = file[names.FRAMES_DATASET], file[names.CONTROLS_DATASET]
+    frames = _dataset(path, file, names.FRAMES_DATASET)
+    controls = _dataset(path, file, names.CONTROLS_DATASET)
     if frames.dtype != np.uint8 or frames.shape[2:] != (IMAGE_SIZE, IMAGE_SIZE):
         raise ValueError(
             f"{path} holds frames {frames.shape[2:]} {frames.dtype}; "
@@ -68,3 +80,10 @@ def _check(path: Path, file: h5py.File) -> None:
         raise ValueError(f"{path} holds controls {controls.shape}; expected {expected} + (p,)")
     if not np.isfinite(controls[:]).all():
         raise ValueError(f"{path} holds controls that are not finite")
+
+
+def _dataset(path: Path, file: h5py.File, name: str) -> h5py.Dataset:
+    dataset = file.get(name)
+    if not isinstance(dataset, h5py.Dataset):
+        raise ValueError(f"{path} has no data set {name!r}; make the recording with koop-dataset")
+    return dataset

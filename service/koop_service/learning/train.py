@@ -16,17 +16,30 @@ from koop_service.learning.recording import Recording
 
 
 def train(
-    recording: Recording, preset: Preset, seed: int, keep: Callable[[Autoencoder], None]
+    recording: Recording,
+    preset: Preset,
+    seed: int,
+    keep: Callable[[Autoencoder], None],
+    warm: Autoencoder | None = None,
 ) -> Autoencoder:
-    """Train from scratch; `keep` is called now and then with the model so far."""
+    """Train from scratch, or from `warm` weights; `keep` is called with the model now and then."""
     rng = np.random.default_rng(seed)
-    model = initialised(preset.code_size, seed).to(memory_format=torch.channels_last)
-    some = recording.frames[:: max(1, len(recording.frames) // 64)] / 255.0
-    model.match_output_scale(float(some.mean()), float(some.std()))
-    warm_up(model, recording, preset, rng)
+    model = _warmed_up(recording, preset, seed, rng) if warm is None else warm
+    model.to(memory_format=torch.channels_last)  # pyright: ignore[reportCallIssue]
     keep(model)
     learn_dynamics(model, recording, preset, rng, keep)
     return model.eval()
+
+
+def _warmed_up(
+    recording: Recording, preset: Preset, seed: int, rng: np.random.Generator
+) -> Autoencoder:
+    model = initialised(preset.code_size, seed)
+    model.to(memory_format=torch.channels_last)  # pyright: ignore[reportCallIssue]
+    some = recording.frames[:: max(1, len(recording.frames) // 64)] / 255.0
+    model.match_output_scale(float(some.mean()), float(some.std()))
+    warm_up(model, recording, preset, rng)
+    return model
 
 
 def warm_up(
@@ -34,7 +47,9 @@ def warm_up(
 ) -> None:
     """The autoencoder alone: a prediction loss too early collapses to the mean picture."""
     model.train()
-    for optimiser, progress in _steps(model, preset.warmup_steps, preset.warmup_rate, "autoencoder"):
+    for optimiser, progress in _steps(
+        model, preset.warmup_steps, preset.warmup_rate, "autoencoder"
+    ):
         images = _random_frames(recording, preset.warmup_batch, rng)
         error = ((model.decode(model.encode(images)) - images) ** 2).mean()
         _descend(model, optimiser, error, clip=1.0)
@@ -54,7 +69,9 @@ def learn_dynamics(
     """
     model.train()
     model.freeze_statistics()
-    for step, (optimiser, progress) in enumerate(_steps(model, preset.steps, preset.rate, "dynamics")):
+    for step, (optimiser, progress) in enumerate(
+        _steps(model, preset.steps, preset.rate, "dynamics")
+    ):
         horizon = growing_horizon(step, preset)
         result = loss(model, _random_windows(recording, preset, rng), preset, horizon, rng)
         _descend(model, optimiser, result.total, preset.clip)
@@ -100,7 +117,7 @@ def _random_frames(recording: Recording, count: int, rng: np.random.Generator) -
 
 def _random_windows(recording: Recording, preset: Preset, rng: np.random.Generator) -> Batch:
     sequences, total = recording.frames.shape[:2]
-    length = preset.fit_frames + preset.horizon + 4
+    length = preset.length
     which = rng.integers(sequences, size=preset.windows)
     start = rng.integers(total - length + 1, size=preset.windows)
     pairs = list(zip(which, start, strict=True))

@@ -7,7 +7,7 @@ the companion state.
 import numpy as np
 from numpy.typing import NDArray
 
-from koop_service.prediction.model import LinearModel
+from .model import LinearModel
 
 Array = NDArray[np.float64]
 
@@ -16,7 +16,7 @@ def rollout(model: LinearModel, history: Array, controls: Array) -> Array:
     """Codes (H, n) that follow `history` (h, n) under `controls` (H, p); row i is H = i + 1 ahead.
 
     controls[0] acts between the newest code of the history and the first predicted one. An
-    unstable model overflows to infinity rather than raising: that is its honest prediction.
+    unstable model overflows to infinity or NaN rather than raising: check before using the codes.
     Raises ValueError for shapes that do not fit the model, H = 0, NaN and infinity.
     """
     history = check_history(model, history)
@@ -41,13 +41,27 @@ def forced_response(model: LinearModel, forcing: Array) -> Array:
 
 
 def impulse_response(model: LinearModel, impulse: Array, horizon: int) -> Array:
-    """Responses (H, n, m) to m impulses (n, m) that are the first new code, from zero history.
-
-    With impulse = B these are the Markov parameters: row j is what u_t adds to z_{t+1+j}.
-    """
+    """Responses (H, n, m) to m impulses (n, m) that are the first new code, from zero history."""
     forcing = np.zeros((horizon, *impulse.shape))
     forcing[0] = impulse
     return forced_response(model, forcing)
+
+
+def affine_response(model: LinearModel, history: Array, horizon: int) -> tuple[Array, Array]:
+    """The roll-out as a function of its controls: codes z_t = free_t + sum_s M_{t-1-s} u_s.
+
+    free: (H, n), the codes without controls. M: (H, n, p), the Markov parameters: row j is what a
+    control adds to the code j + 1 steps later. One run gives both.
+    """
+    n, p = model.B.shape
+    start = np.zeros((model.history, n, 1 + p))
+    start[:, :, 0] = history
+    forcing = np.zeros((horizon, n, 1 + p))
+    forcing[:, :, 0] = model.c
+    forcing[0, :, 1:] = model.B
+    with np.errstate(over="ignore", invalid="ignore"):
+        codes = _continue(model.A, start, forcing)[model.history :]
+    return codes[:, :, 0], codes[:, :, 1:]
 
 
 def check_history(model: LinearModel, history: Array) -> Array:

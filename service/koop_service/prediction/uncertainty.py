@@ -10,8 +10,10 @@ step this is exactly S (1 + w^T (R^T R)^{-1} w).
 import numpy as np
 from numpy.typing import NDArray
 
-from koop_service.prediction.model import LinearModel
-from koop_service.prediction.rollout import forced_response, impulse_response, regressors, rollout
+from koop_service.estimation.triangular import forward_substitute
+
+from .model import LinearModel
+from .rollout import forced_response, impulse_response, regressors, rollout
 
 Array = NDArray[np.float64]
 
@@ -32,7 +34,8 @@ def rollout_std(model: LinearModel, history: Array, controls: Array, S: Array, R
         noise = impulse_response(model, root, len(codes))
         parameters = forced_response(model, _impulses(W, R, root))
         variance = np.cumsum(_power(noise), axis=0) + _power(parameters)
-        return np.sqrt(variance)
+        # A diverging roll-out ends in inf - inf; nothing is known about it then.
+        return np.sqrt(np.where(np.isnan(variance), np.inf, variance))
 
 
 def _with_constant(W: Array, R: Array) -> Array:
@@ -54,8 +57,9 @@ def _root(S: Array) -> Array:
 def _impulses(W: Array, R: Array, root: Array) -> Array:
     """Forcing (H, n, n*d): at step t, column block j is v_t[j] S^{1/2}."""
     horizon, d = W.shape
-    V = np.linalg.solve(R.T, W.T).T
-    return np.einsum("tj,ab->tajb", V, root).reshape(horizon, len(root), d * len(root))
+    V = W.T.copy()
+    forward_substitute(np.ascontiguousarray(R), V)
+    return np.einsum("jt,ab->tajb", V, root).reshape(horizon, len(root), d * len(root))
 
 
 def _power(responses: Array) -> Array:

@@ -10,7 +10,10 @@ import math
 import os
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
+
+from tyro.conf import arg
+from tyro.constructors import PrimitiveConstructorSpec
 
 LOOPBACK = "tcp/127.0.0.1:7447"
 """Where a client looks if nobody says otherwise: Zenoh's own port, on this machine only."""
@@ -20,14 +23,19 @@ LOOPBACK = "tcp/127.0.0.1:7447"
 class NetworkSettings:
     """Zenoh: where clients reach the service."""
 
-    listen: tuple[str, ...] | None = None
+    listen: Annotated[
+        tuple[str, ...] | None,
+        arg(metavar="ENDPOINT ...", help_behavior_hint=f"(default: {LOOPBACK})"),
+    ] = None
     """Endpoints of the Zenoh hub in this process, such as tcp/0.0.0.0:7447; port 0 takes any free
-    one. By default tcp/127.0.0.1:7447, or none where --connect is given."""
-    connect: tuple[str, ...] = ()
+    one. Where --connect or --zenoh-config is given there is none by default."""
+    connect: Annotated[
+        tuple[str, ...], arg(metavar="ENDPOINT ...", help_behavior_hint="(default: none)")
+    ] = ()
     """Zenoh routers to join, such as tcp/router:7447; the service waits until one is there."""
     scouting: bool = False
     """Find and be found by multicast on the local network."""
-    zenoh_config: Path | None = None
+    zenoh_config: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="")] = None
     """A raw Zenoh configuration file (JSON5 or YAML), for TLS and access control; the three options
     above act on top of it, and without them it decides alone."""
 
@@ -59,7 +67,6 @@ class ModelRule:
     name: str = ""
 
     def __post_init__(self) -> None:
-        _require_file("path", self.path)
         if not self.patterns or not all(self.patterns):
             raise ValueError(
                 f"the model {self.path} has no patterns; expected those of its trajectories, "
@@ -78,19 +85,24 @@ class ModelRule:
         return cls(Path(path), (pattern,))
 
 
+_CARD = "(default: what the model's card recommends)"
+
+
 @dataclass(frozen=True)
 class EstimatorChoices:
-    """Estimator of each trajectory; what is left out is taken from the model's card."""
+    """Estimator of each trajectory."""
 
-    history: int | None = None
+    history: Annotated[int | None, arg(metavar="FRAMES", help_behavior_hint=_CARD)] = None
     """Codes in a regressor (h); 2 gives the model velocities."""
-    rho: float | None = None
+    rho: Annotated[float | None, arg(metavar="WEIGHT", help_behavior_hint=_CARD)] = None
     """Weight of the prior, in units of a code's square; larger forgives more noise."""
-    forgetting: float | None = None
+    forgetting: Annotated[float | None, arg(metavar="WEIGHT", help_behavior_hint=_CARD)] = None
     """Weight of a frame one step older, 0.5 to 1; 1 forgets nothing, 0.99 remembers 100 frames."""
-    window: int | None = None
-    """Frames remembered at all; by default every one."""
-    affine: bool | None = None
+    window: Annotated[
+        int | None, arg(metavar="FRAMES", help_behavior_hint="(default: every one)")
+    ] = None
+    """Newest frames that count at all."""
+    affine: Annotated[bool | None, arg(metavar="{True,False}", help_behavior_hint=_CARD)] = None
     """Whether the model has a constant term."""
 
     def __post_init__(self) -> None:
@@ -147,8 +159,10 @@ class LimitSettings:
 class MonitoringSettings:
     """Metrics and logs."""
 
-    metrics_port: int | None = None
-    """Serve Prometheus metrics on this port; 0 takes any free one. By default none are served."""
+    metrics_port: Annotated[
+        int | None, arg(metavar="PORT", help_behavior_hint="(default: none are served)")
+    ] = None
+    """Serve Prometheus metrics on this port; 0 takes any free one."""
     metrics_address: str = "127.0.0.1"
     """Address that the metrics are served on; 0.0.0.0 shows them to the network."""
     log_format: Literal["text", "json"] = "text"
@@ -162,6 +176,15 @@ class MonitoringSettings:
         _require_one_of("log_level", self.log_level, ("debug", "info", "warning", "error"))
 
 
+_RULE = PrimitiveConstructorSpec(
+    nargs=1,
+    metavar="PATTERN=FILE",
+    instance_from_str=lambda words: ModelRule.parse(words[0]),
+    is_instance=lambda value: isinstance(value, ModelRule),
+    str_from_instance=lambda rule: [f"{rule.patterns[0]}={rule.path}"],
+)
+
+
 def default_state_folder() -> Path:
     """`koop` in the user's state folder, as the XDG base directory specification has it."""
     base = os.environ.get("XDG_STATE_HOME", "")
@@ -172,10 +195,15 @@ def default_state_folder() -> Path:
 class ServiceConfig:
     """Everything that `koop-serve` can be told."""
 
-    models: tuple[ModelRule, ...] = ()
-    """Own models before the bundled ones: PATTERN=PATH, such as 'cartpole/*=mine.safetensors';
-    a trajectory takes the first whose pattern matches its name."""
-    state_folder: Path = field(default_factory=default_state_folder)
+    models: Annotated[
+        tuple[Annotated[ModelRule, _RULE], ...],
+        arg(metavar="PATTERN=FILE ...", help_behavior_hint="(default: the bundled models)"),
+    ] = ()
+    """Own models, which go before the bundled ones, such as 'cartpole/*=mine.safetensors': a
+    trajectory takes the first whose pattern matches its name."""
+    state_folder: Annotated[Path, arg(metavar="FOLDER")] = field(
+        default_factory=default_state_folder
+    )
     """Where the estimators are kept from one run to the next."""
     network: NetworkSettings = field(default_factory=NetworkSettings)
     estimator: EstimatorChoices = field(default_factory=EstimatorChoices)

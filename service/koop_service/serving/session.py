@@ -98,7 +98,9 @@ def _base(path: Path | None) -> zenoh.Config:
         raise OSError(f"{path} is not a Zenoh configuration: {error}") from error
     if path is None:
         _set(config, "transport/link/rx/max_message_size", _LARGEST_MESSAGE)
-        _set(config, "transport/link/tx/queue/congestion_control/block/wait_before_close", _PATIENCE)
+        _set(
+            config, "transport/link/tx/queue/congestion_control/block/wait_before_close", _PATIENCE
+        )
     _set(config, "adminspace/enabled", True)
     return config
 

@@ -83,5 +83,3 @@ def _described(options: tuple[object, ...]) -> str:
         if option is not type(None)
     ]
     return " or ".join(names)
-
-

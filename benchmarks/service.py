@@ -1,0 +1,356 @@
+"""The whole service under full load: throughput against the bare encoder, losses, latency, memory.
+
+Four processes: the real `koop-serve`, a source that puts the frames of all trajectories as fast as
+the service takes them, a client that asks for predictions all the while, and this one, which
+watches. The bare encoder is measured in the same run, before and after, with the same threads.
+
+    python benchmarks/service.py                  # half a minute of load
+    python benchmarks/service.py --minutes 10     # and does the memory stay flat?
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import multiprocessing
+import re
+import subprocess
+import sys
+import tempfile
+import time
+import urllib.request
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from multiprocessing.synchronize import Event
+from pathlib import Path
+
+import numpy as np
+import psutil
+import zenoh
+
+from koop_protocol import Frame, PredictQuery, decode, encode, frame_key, predict_key
+
+SIZE = 64
+PICTURES = 128
+EPOCH = "0123456789abcdef"
+HORIZON = 20
+QUERY_INTERVAL = 0.02  # s
+WARM_SECONDS = 3.0
+
+
+def main() -> None:
+    options = parse_options()
+    with tempfile.TemporaryDirectory() as folder:
+        weights = write_weights(Path(folder))
+        bare = [bare_encoder(weights, options.threads)]
+        figures = under_load(options, Path(folder), weights)
+        bare.append(bare_encoder(weights, options.threads))
+    figures["bare_encoder_per_s"] = max(bare)
+    figures["encoder_ratio"] = figures["frames_per_s"] / max(bare)
+    print_table(figures)
+    if options.json:
+        print(json.dumps({name: round(value, 4) for name, value in figures.items()}))
+
+
+def parse_options() -> argparse.Namespace:
+    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser.add_argument("--trajectories", type=int, default=200)
+    parser.add_argument("--minutes", type=float, default=0.5, help="time under load")
+    parser.add_argument("--threads", type=int, default=1, help="threads of the encoder")
+    parser.add_argument("--batch", type=int, default=None, help="koop-serve's --batch")
+    parser.add_argument("--json", action="store_true", help="one JSON object on the last line")
+    return parser.parse_args()
+
+
+# The encoder alone
+
+
+def write_weights(folder: Path) -> Path:
+    """Weights of the paper's size; what they have learned does not change how fast they are."""
+    from koop_service.encoding.autoencoder import initialised
+    from koop_service.encoding.weights import ModelCard, save_weights
+
+    path = folder / "benchmark.safetensors"
+    save_weights(path, initialised(8, seed=0), ModelCard("benchmark", "benchmark", 0.05))
+    return path
+
+
+def bare_encoder(weights: Path, threads: int) -> float:
+    """Frames a second of ImageCodec.encode alone, at its best batch size, in a fresh process."""
+    with multiprocessing.get_context("spawn").Pool(1) as pool:
+        return pool.apply(_bare_encoder, (weights, threads))
+
+
+def _bare_encoder(weights: Path, threads: int) -> float:
+    import torch
+
+    from koop_service.encoding.image_codec import ImageCodec
+    from koop_service.encoding.weights import load_weights
+
+    torch.set_num_threads(threads)
+    codec = ImageCodec(*load_weights(weights))
+    return max(_encoding_rate(codec, pictures(batch)) for batch in (16, 32, 64, 128))
+
+
+def _encoding_rate(codec, batch: np.ndarray, seconds: float = 1.0) -> float:
+    """Sustained rate, as the service's own is."""
+    codec.encode(batch)
+    start, count = time.perf_counter(), 0
+    while (elapsed := time.perf_counter() - start) < seconds:
+        codec.encode(batch)
+        count += len(batch)
+    return count / elapsed
+
+
+# The service
+
+
+@dataclass
+class Service:
+    process: subprocess.Popen[str]
+    endpoint: str
+    metrics_port: int
+
+    def resident(self) -> int:
+        """Resident memory [bytes]."""
+        return psutil.Process(self.process.pid).memory_info().rss
+
+    def metric(self, name: str) -> float:
+        """A metric's value, summed over its labels."""
+        url = f"http://127.0.0.1:{self.metrics_port}/metrics"
+        text = urllib.request.urlopen(url, timeout=10).read().decode()
+        values = re.findall(rf"^{name}(?:{{[^}}]*}})? (\S+)$", text, re.MULTILINE)
+        return sum(float(value) for value in values)
+
+
+@contextmanager
+def service(options: argparse.Namespace, folder: Path, weights: Path) -> Iterator[Service]:
+    command = [
+        *(sys.executable, "-m", "koop_service.cli", "--listen", "tcp/127.0.0.1:0"),
+        *("--models", f"benchmark/*={weights}", "--state-folder", str(folder / "state")),
+        *("--metrics-port", "0", "--threads", str(options.threads)),
+        *(("--batch", str(options.batch)) if options.batch else ()),
+    ]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+    try:
+        yield _started(process)
+    finally:
+        process.terminate()
+        process.wait(10)
+
+
+def _started(process: subprocess.Popen[str]) -> Service:
+    endpoint = port = None
+    assert process.stdout is not None
+    for line in process.stdout:
+        endpoint = endpoint or re.search(r"ready on (\S+)", line)
+        port = port or re.search(r"metrics: port (\d+)", line)
+        if endpoint and port:
+            return Service(process, endpoint[1], int(port[1]))
+    raise RuntimeError("koop-serve did not start")
+
+
+@contextmanager
+def client(endpoint: str) -> Iterator[zenoh.Session]:
+    config = zenoh.Config()
+    for key, value in {
+        "mode": "client",
+        "connect/endpoints": [endpoint],
+        "scouting/multicast/enabled": False,
+        "transport/link/tx/queue/congestion_control/block/wait_before_close": 600_000_000,
+    }.items():
+        config.insert_json5(key, json.dumps(value))
+    with zenoh.open(config) as session:
+        yield session
+
+
+# The load
+
+
+def pictures(count: int) -> np.ndarray:
+    """A cart with its pole, (count, 64, 64) uint8, prepared before anything is timed."""
+    y, x = np.mgrid[0:SIZE, 0:SIZE] / SIZE - 0.5
+    return np.stack([_picture(x, y, 0.1 * i) for i in range(count)])
+
+
+def _picture(x: np.ndarray, y: np.ndarray, phase: float) -> np.ndarray:
+    position, angle = 0.2 * np.sin(phase), 1.3 * np.cos(0.7 * phase)
+    u, v = x - position, y
+    along = np.clip(u * np.sin(angle) - v * np.cos(angle), 0.0, 0.35)
+    pole = np.hypot(u - along * np.sin(angle), v + along * np.cos(angle)) - 0.03
+    cart = np.maximum(abs(u) - 0.1, abs(v) - 0.04)
+    return np.clip(255 * (0.5 - SIZE * np.minimum(pole, cart)), 0, 255).astype(np.uint8)
+
+
+class Templates:
+    """Frames packed beforehand; only the number in them is written anew at each put."""
+
+    PLACEHOLDER = 2**52 + 1
+
+    def __init__(self, trajectory: str, images: np.ndarray) -> None:
+        packed = [
+            encode(Frame(trajectory, EPOCH, self.PLACEHOLDER, 0, image, "benchmark"))
+            for image in images
+        ]
+        mark = self.PLACEHOLDER.to_bytes(8, "big")
+        self.key = frame_key(trajectory)
+        self._parts = [message.split(mark) for message in packed]
+
+    def message(self, seq: int) -> bytes:
+        head, tail = self._parts[seq % len(self._parts)]
+        return head + seq.to_bytes(8, "big") + tail
+
+
+def publish(endpoint: str, trajectories: list[str], first: int, stop: Event, sent) -> None:
+    """Put frames of all trajectories in turn, as fast as they are taken, until told to stop."""
+    images = pictures(PICTURES)
+    templates = [Templates(name, np.roll(images, i, 0)[:16]) for i, name in enumerate(trajectories)]
+    with client(endpoint) as session:
+        publishers = [
+            session.declare_publisher(t.key, congestion_control=zenoh.CongestionControl.BLOCK)
+            for t in templates
+        ]
+        seq = first
+        while not stop.is_set():
+            for template, publisher in zip(templates, publishers, strict=True):
+                publisher.put(template.message(seq))
+            seq += 1
+            sent.value = (seq - first) * len(trajectories)
+
+
+def ask(endpoint: str, trajectories: list[str], stop: Event, results) -> None:
+    """Ask for a prediction every 20 ms, and note how long the answer took."""
+    query, choose = encode(PredictQuery(HORIZON)), np.random.default_rng(0)
+    latencies, refusals = [], []
+    with client(endpoint) as session:
+        while not stop.is_set():
+            key = predict_key(trajectories[choose.integers(len(trajectories))])
+            start = time.perf_counter()
+            (reply,) = session.get(key, payload=query, timeout=30.0)
+            latencies.append(time.perf_counter() - start)
+            if reply.ok is None:
+                refusals.append(decode(reply.err.payload.to_bytes()).message)
+            time.sleep(QUERY_INTERVAL)
+    results.put((latencies, refusals))
+
+
+def under_load(options: argparse.Namespace, folder: Path, weights: Path) -> dict[str, float]:
+    names = [f"benchmark/{i}" for i in range(options.trajectories)]
+    with service(options, folder, weights) as served:
+        warm = run_source(served, names[:1], 0, WARM_SECONDS)
+        fixed = served.resident()
+        first = run_source(served, names, warm, WARM_SECONDS)  # past everybody's warm-up
+        return measure(options, served, names, first, fixed)
+
+
+def run_source(served: Service, names: list[str], first: int, seconds: float) -> int:
+    """Stream for a while; returns the next number after all was folded."""
+    context = multiprocessing.get_context("spawn")
+    stop, sent = context.Event(), context.Value("q", 0)
+    before = accounted(served)
+    source = context.Process(target=publish, args=(served.endpoint, names, first, stop, sent))
+    source.start()
+    time.sleep(seconds)
+    stop.set()
+    source.join()
+    drain(served, before + sent.value)
+    return first + sent.value // len(names)
+
+
+def drain(served: Service, expected: float) -> None:
+    """Wait until everything sent is accounted for, or nothing moves any more."""
+    last, since = -1.0, time.monotonic()
+    while time.monotonic() - since < 10.0:
+        now = accounted(served)
+        if now >= expected:
+            return
+        if now != last:
+            last, since = now, time.monotonic()
+        time.sleep(0.05)
+
+
+def accounted(served: Service) -> float:
+    return served.metric("koop_frames_total") + served.metric("koop_rejected_total")
+
+
+def measure(
+    options: argparse.Namespace, served: Service, names: list[str], first: int, fixed: int
+) -> dict[str, float]:
+    """All figures of one stretch of full load."""
+    context = multiprocessing.get_context("spawn")
+    stop, sent, results = context.Event(), context.Value("q", 0), context.Queue()
+    before = accounted(served)
+    load = [
+        context.Process(target=publish, args=(served.endpoint, names, first, stop, sent)),
+        context.Process(target=ask, args=(served.endpoint, names, stop, results)),
+    ]
+    for process in load:
+        process.start()
+    frames_per_s, resident = watch(served, 60.0 * options.minutes)
+    stop.set()
+    latencies, refusals = results.get()
+    for process in load:
+        process.join()
+    drain(served, before + sent.value)
+    if refusals:
+        print(f"{len(refusals)} queries were refused, the first with: {refusals[0]}")
+    return {
+        "trajectories": len(names),
+        "seconds": 60.0 * options.minutes,
+        "threads": options.threads,
+        "frames_per_s": frames_per_s,
+        "sent": sent.value,
+        "lost": before + sent.value - accounted(served) + served.metric("koop_rejected_total"),
+        "held_back": served.metric("koop_held_total"),
+        "queries": len(latencies),
+        "refused": len(refusals),
+        "predict_p50_ms": 1e3 * float(np.percentile(latencies, 50)),
+        "predict_p99_ms": 1e3 * float(np.percentile(latencies, 99)),
+        "predict_max_ms": 1e3 * max(latencies),
+        "resident_mb": resident[-1][1] / 1e6,
+        "kb_per_trajectory": (resident[-1][1] - fixed) / 1e3 / (len(names) - 1),
+        "growth_kb_per_min": growth(resident) / 1e3,
+    }
+
+
+def watch(served: Service, seconds: float) -> tuple[float, list[tuple[float, int]]]:
+    """Frames a second over the stretch, and (time [s], resident memory [bytes]) along it."""
+    while served.metric("koop_queue_messages") == 0:
+        time.sleep(0.01)
+    start, frames, resident = time.monotonic(), served.metric("koop_frames_total"), []
+    while (now := time.monotonic() - start) < seconds:
+        resident.append((now, served.resident()))
+        time.sleep(0.5)
+    rate = (served.metric("koop_frames_total") - frames) / (time.monotonic() - start)
+    return rate, resident
+
+
+def growth(resident: list[tuple[float, int]]) -> float:
+    """Slope over the second half [bytes/min]."""
+    half = np.array(resident[len(resident) // 2 :], dtype=float)
+    return 60.0 * float(np.polyfit(half[:, 0], half[:, 1], 1)[0])
+
+
+def print_table(figures: dict[str, float]) -> None:
+    rows = [
+        ("bare encoder, frames/s", f"{figures['bare_encoder_per_s']:.0f}", ""),
+        ("service, frames/s", f"{figures['frames_per_s']:.0f}", ""),
+        ("encoder_ratio", f"{figures['encoder_ratio']:.2f}", "at least 0.6"),
+        ("lost", f"{figures['lost']:.0f} of {figures['sent']:.0f}", "0"),
+        ("predict p50 [ms]", f"{figures['predict_p50_ms']:.1f}", ""),
+        ("predict p99 [ms]", f"{figures['predict_p99_ms']:.1f}", "under 50"),
+        ("predict slowest [ms]", f"{figures['predict_max_ms']:.1f}", ""),
+        ("memory a trajectory [KB]", f"{figures['kb_per_trajectory']:.0f}", "under 100"),
+        ("memory growth [KB/min]", f"{figures['growth_kb_per_min']:.0f}", "flat"),
+    ]
+    print(
+        f"{figures['trajectories']:.0f} trajectories for {figures['seconds']:.0f} s, "
+        f"encoder on {figures['threads']:.0f} thread(s), {figures['queries']:.0f} queries"
+    )
+    for name, value, goal in rows:
+        print(f"  {name:26} {value:>20}   {goal}")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,1 @@
+"""`python -m koop_clients.demo`: the whole of koop, once, in about a minute."""

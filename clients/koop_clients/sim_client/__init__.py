@@ -1,0 +1,1 @@
+"""`koop-sim-client`: a simulated plant that streams to the service, asks it, and obeys it."""

@@ -1,0 +1,116 @@
+"""Command line of `koop-sim-client`: the one place that wires its parts together."""
+
+from __future__ import annotations
+
+import sys
+import time
+
+import zenoh
+
+from koop_clients.connection import NoServiceError, flush, open_session
+from koop_clients.mechanics.systems import System, build_system
+from koop_clients.queries import NO_REPLY, KoopClient, KoopError
+from koop_clients.sim_client.arguments import Arguments, parse_arguments
+from koop_clients.sim_client.display import Display
+from koop_clients.sim_client.live import LiveRun
+from koop_clients.sim_client.pacing import Stop
+
+_POLL = 0.1  # s
+
+
+def main() -> None:
+    """Entry point.
+
+    Exits with 2 for arguments that make no sense, and with 1 where the service cannot be reached
+    or cannot serve the system.
+    """
+    try:
+        arguments = parse_arguments()
+        system = build_system(arguments.system, arguments.physical.given)
+    except ValueError as error:
+        print(f"koop-sim-client: {error}", file=sys.stderr)
+        sys.exit(2)
+    try:
+        run(arguments, system)
+    except (KoopError, OSError, ValueError) as error:
+        sys.exit(f"koop-sim-client: {error}")
+    except KeyboardInterrupt:
+        sys.exit(130)
+
+
+def run(arguments: Arguments, system: System) -> None:
+    """Stream, ask, drive; then say what was found, and save what was asked for."""
+    display = Display()
+    with _connect(arguments, display) as session:
+        stop = Stop()
+        stop.catch_signals()
+        live = LiveRun(arguments, system, session, display)
+        live.run(stop)
+        flush(session)
+    _save(live, arguments, display)
+    result = live.result()
+    print(result.to_json() if arguments.output.json else "\n" + result.to_text())
+
+
+def _connect(arguments: Arguments, display: Display) -> zenoh.Session:
+    """A session, once the service is there: frames put earlier would be lost."""
+    connect, config_file = arguments.service.connect, arguments.service.zenoh_config
+    wait = arguments.service.wait
+    try:
+        session = open_session(connect, config_file=config_file)
+    except NoServiceError as error:
+        if wait == 0:
+            raise
+        display.say(f"{error}; waiting {wait:g} s for it")
+        session = open_session(connect, config_file=config_file, wait=wait)
+    try:
+        _await_answer(KoopClient(session), f"{arguments.system}/{arguments.first}", wait)
+    except BaseException:
+        session.close()
+        raise
+    display.say(f"connected to {arguments.service.endpoint}; {_plan(arguments)}")
+    return session
+
+
+def _await_answer(client: KoopClient, trajectory: str, wait: float) -> None:
+    """Until the service answers anything at all about the trajectory, for at most `wait` [s]."""
+    deadline = time.monotonic() + wait
+    while True:
+        try:
+            client.state(trajectory)
+        except KoopError as error:
+            if error.code != NO_REPLY:
+                return
+            if time.monotonic() >= deadline:
+                raise
+            time.sleep(_POLL)
+        else:
+            return
+
+
+def _plan(arguments: Arguments) -> str:
+    """What is going to happen, in words."""
+    first, count = arguments.first, arguments.trajectories
+    names = f"{arguments.system}/{first}" + (f" to {first + count - 1}" if count > 1 else "")
+    until = f"for {arguments.duration:g} s" if arguments.duration else "until Ctrl-C"
+    what = "swinging freely"
+    if arguments.is_actuated:
+        what = "tracking random references"
+    if arguments.drive == "lqr":
+        what += f", and driven by the service after {arguments.lqr.learn:g} s"
+    return f"streaming {names} {until}, {what}"
+
+
+def _save(live: LiveRun, arguments: Arguments, display: Display) -> None:
+    if arguments.output.record is not None:
+        live.record().save(arguments.output.record)
+        display.say(f"saved {arguments.output.record}")
+    if arguments.output.strip is not None:
+        from koop_clients.pictures.strip import draw_strip  # matplotlib takes its time to load
+
+        draw_strip(live.record(), arguments.output.strip)
+        display.say(f"saved {arguments.output.strip}")
+
+
+if __name__ == "__main__":
+    main()

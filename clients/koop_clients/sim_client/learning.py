@@ -1,0 +1,77 @@
+"""The phase in which the service watches: it is asked what comes next, and judged by what came."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from koop_clients.mechanics.simulation import FRAME_INTERVAL
+from koop_clients.queries import KoopError
+from koop_clients.sim_client.arguments import Arguments
+from koop_clients.sim_client.display import Display, learning_heading, learning_row, usual
+from koop_clients.sim_client.forecasting import Asker
+from koop_clients.sim_client.record import Scorebook
+from koop_clients.sim_client.scoring import Forecast, pool
+from koop_clients.sim_client.streaming import Stream, takeover_frame
+from koop_protocol import ErrorCode, PredictReply
+
+_RECENT = 20  # forecasts behind the errors of a progress row
+
+
+class Learning:
+    """Predictions of the first plant at each turn, and of one of the others in rotation."""
+
+    def __init__(
+        self, arguments: Arguments, streams: Sequence[Stream], asker: Asker, display: Display
+    ) -> None:
+        self._horizons = arguments.horizons
+        self._ahead = arguments.prediction.ahead
+        self._period = max(1, round(arguments.prediction.ask_every / FRAME_INTERVAL))
+        self._last = takeover_frame(arguments)
+        self._streams = streams
+        self._asker = asker
+        self._display = display
+
+    def step(self, number: int, frames: Sequence[np.ndarray], book: Scorebook) -> None:
+        """Frames `number` were put: ask about them, and let the plants go on."""
+        # Beyond the takeover the controls will not be those that were looked ahead at.
+        if number % self._period == 0 and number + self._ahead <= self._last:
+            self._forecast(0, frames)
+            if others := len(self._streams) - 1:
+                self._forecast(1 + (number // self._period) % others, frames)
+        for stream in self._streams:
+            stream.advance()
+        heading = learning_heading(self._horizons)
+        if self._display.due(heading):
+            self._display.row(heading, self._row(number, book))
+
+    def _forecast(self, index: int, frames: Sequence[np.ndarray]) -> None:
+        """Ask about one plant, with the torques that it is really going to get."""
+        stream = self._streams[index]
+        controls = stream.plant.look_ahead(self._ahead) if stream.source.control_size else None
+        reply = self._asker.predict(stream.source.trajectory, controls, self._ahead)
+        if reply is None:
+            return
+        _check_epoch(reply, stream)
+        if reply.seq == stream.plant.number and reply.frames is not None:
+            stream.judge.predict(Forecast(reply.seq, frames[index], reply.frames))
+
+    def _row(self, number: int, book: Scorebook) -> str:
+        return learning_row(
+            self._display,
+            number,
+            (number + 1) * len(self._streams),
+            pool(book.recent(_RECENT), self._horizons),
+            self._asker.standing,
+            usual(self._asker.latencies),
+        )
+
+
+def _check_epoch(reply: PredictReply, stream: Stream) -> None:
+    if reply.epoch != stream.source.epoch:
+        name = stream.source.trajectory
+        raise KoopError(
+            ErrorCode.stale_epoch,
+            f"another source streams as {name}; stop it, or choose other numbers with --first",
+        )

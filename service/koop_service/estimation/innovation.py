@@ -1,0 +1,84 @@
+"""Residual statistics of each lane from the normalised innovations that the update returns.
+
+e e^T has expectation S, the covariance (n, n) of what one step cannot predict: its exponentially
+weighted mean is S. The first `warmup_updates` innovations are left out, they are the prior's.
+"""
+
+import numpy as np
+
+from .compiled import Array, Integers, compiled
+from .settings import EstimatorSettings
+
+#: Innovations that S remembers (10 s at 20 frames/s), fewer where the factor forgets faster.
+MEMORY = 200
+
+
+class InnovationStatistics:
+    """S and its sample count for up to `capacity` lanes."""
+
+    def __init__(self, settings: EstimatorSettings, capacity: int) -> None:
+        self.settings = settings
+        self._least_gain = max(1.0 / MEMORY, 1.0 - settings.forgetting)
+        self._covariances = np.zeros((0, settings.code_size, settings.code_size))
+        self._seen = np.zeros(0, dtype=np.int64)
+        self.grow(capacity)
+
+    def grow(self, capacity: int) -> None:
+        """Make room for at least `capacity` lanes; the new ones have seen nothing."""
+        missing = max(0, capacity - len(self._seen))
+        n = self.settings.code_size
+        self._covariances = np.concatenate([self._covariances, np.zeros((missing, n, n))])
+        self._seen = np.concatenate([self._seen, np.zeros(missing, dtype=np.int64)])
+
+    def fold(self, lanes: Integers, E: Array) -> None:
+        """Fold innovation E[b] (n,) into lane lanes[b], for all b in their order."""
+        average(
+            self._covariances,
+            self._seen,
+            np.ascontiguousarray(lanes, dtype=np.int64),
+            E,
+            self.settings.warmup_updates,
+            self._least_gain,
+        )
+
+    def seen(self, lane: int) -> int:
+        """Innovations folded, those of the warm-up included."""
+        return int(self._seen[lane])
+
+    def covariance(self, lane: int) -> Array:
+        """S (n, n), in units of code squared; zero until the warm-up is over."""
+        return self._covariances[lane].copy()
+
+    def rms(self, lane: int) -> float:
+        """Root mean square of a code's one-step residual, over time and over the n numbers."""
+        return float(np.sqrt(np.trace(self._covariances[lane]) / self.settings.code_size))
+
+    def insert(self, lane: int, covariance: Array, seen: int) -> None:
+        """Put back what `covariance` and `seen` gave; raises ValueError for another size."""
+        n = self.settings.code_size
+        if covariance.shape != (n, n) or not np.all(np.isfinite(covariance)) or seen < 0:
+            raise ValueError(
+                f"the covariance has shape {covariance.shape} and {seen} samples;"
+                f" expected ({n}, {n}), finite, and 0 or more"
+            )
+        self._covariances[lane] = covariance
+        self._seen[lane] = seen
+
+
+@compiled
+def average(
+    covariances: Array, seen: Integers, lanes: Integers, E: Array, warmup: int, least_gain: float
+) -> None:
+    """S <- S + gain (e e^T - S): the plain mean at first, then the exponentially weighted one."""
+    n = E.shape[1]
+    for b in range(lanes.shape[0]):
+        lane = lanes[b]
+        seen[lane] += 1
+        counted = seen[lane] - warmup
+        if counted <= 0:
+            continue
+        gain = max(1.0 / counted, least_gain)
+        S, e = covariances[lane], E[b]
+        for i in range(n):
+            for j in range(n):
+                S[i, j] += gain * (e[i] * e[j] - S[i, j])

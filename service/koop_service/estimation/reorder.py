@@ -1,0 +1,74 @@
+"""Frames put back in the order of their numbers, with the gaps that cannot be filled."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from .compiled import Array
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class OrderedFrame:
+    """The next frame in order: its code (n,), and how many numbers before it were given up."""
+
+    seq: int
+    code: Array
+    skipped: int
+
+
+class FrameOrder:
+    """A reorder buffer: up to `limit` frames wait for a missing one; one more, and it is given up.
+
+    So frame s passes unless more than `limit` higher ones came before it, whatever else happened.
+    """
+
+    def __init__(self, limit: int) -> None:
+        self.limit = limit
+        self.next_seq = 0
+        self.run_start = 0  # every number from here to next_seq passed
+        self._pending: dict[int, Array] = {}
+
+    @property
+    def missing(self) -> tuple[int, int] | None:
+        """Numbers [start, stop) that the waiting frames wait for, or None."""
+        return (self.next_seq, min(self._pending)) if self._pending else None
+
+    def is_duplicate(self, seq: int) -> bool:
+        """Whether the frame certainly came before. Before the last gap nobody remembers."""
+        return self.run_start <= seq < self.next_seq or seq in self._pending
+
+    def is_late(self, seq: int) -> bool:
+        """Whether its turn is over, and it was given up or is before the last gap."""
+        return seq < self.run_start
+
+    def add(self, seq: int, code: Array) -> None:
+        """Put a frame in that is neither late nor a duplicate."""
+        self._pending[seq] = code
+
+    def pop(self) -> OrderedFrame | None:
+        """The next frame in order, if its turn has come."""
+        seq = self.next_seq
+        if seq not in self._pending:
+            if len(self._pending) <= self.limit:
+                return None
+            seq = self.run_start = min(self._pending)
+        skipped = seq - self.next_seq
+        self.next_seq = seq + 1
+        return OrderedFrame(seq, self._pending.pop(seq), skipped)
+
+    def snapshot(self) -> dict[str, Any]:
+        """Plain numbers, lists and arrays; `restore` continues alike."""
+        return {
+            "next_seq": self.next_seq,
+            "run_start": self.run_start,
+            "pending_seqs": list(self._pending),
+            "pending_codes": [code.copy() for code in self._pending.values()],
+        }
+
+    def restore(self, snapshot: dict[str, Any]) -> None:
+        """Become what `snapshot` was taken of."""
+        self.next_seq = int(snapshot["next_seq"])
+        self.run_start = int(snapshot["run_start"])
+        codes = (np.array(code, dtype=np.float64) for code in snapshot["pending_codes"])
+        self._pending = dict(zip(snapshot["pending_seqs"], codes, strict=True))

@@ -1,0 +1,87 @@
+"""Zenoh's callbacks: each only puts what came into a queue, since it runs on the caller's link."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+
+import zenoh
+
+from koop_protocol import CONTROLS, FRAMES, LQRS, PREDICTIONS, STATES, ErrorCode, ProtocolError
+from koop_protocol.keys import KeyKind
+from koop_service.serving.intake import Intake, lane_of
+from koop_service.serving.metrics import Metrics
+from koop_service.serving.questions import Question, ZenohQuestion, error_bytes
+from koop_service.serving.refusals import Refusals
+
+log = logging.getLogger("koop.endpoint")
+
+_QUERYABLES = {PREDICTIONS: KeyKind.predict, LQRS: KeyKind.lqr, STATES: KeyKind.state}
+
+
+class Endpoint:
+    """What the service hears: frames, controls and queries."""
+
+    def __init__(
+        self, intake: Intake[Question], refusals: Refusals, metrics: Metrics, max_bytes: int
+    ) -> None:
+        self._intake = intake
+        self._refusals = refusals
+        self._metrics = metrics
+        self._max_bytes = max_bytes
+
+    @contextmanager
+    def declared(self, session: zenoh.Session) -> Iterator[None]:
+        """Listen on the session as long as the context is open."""
+        with ExitStack() as stack:
+            for key in (FRAMES, CONTROLS):
+                callback = zenoh.handlers.Callback(self._measure, indirect=False)
+                stack.enter_context(session.declare_subscriber(key, callback))
+            for key, kind in _QUERYABLES.items():
+                callback = zenoh.handlers.Callback(self._asker(kind), indirect=False)
+                stack.enter_context(session.declare_queryable(key, callback))
+            yield
+
+    def _measure(self, sample: zenoh.Sample) -> None:
+        key, size = str(sample.key_expr), len(sample.payload)
+        if size > self._max_bytes:
+            self._refusals.note(lane_of(key), _too_large(size, self._max_bytes))
+        elif sample.kind == zenoh.SampleKind.DELETE:
+            self._refusals.note(lane_of(key), _deleted())
+        elif not self._intake.put(key, sample.payload.to_bytes()):
+            self._metrics.lost.inc()
+
+    def _asker(self, kind: KeyKind) -> Callable[[zenoh.Query], None]:
+        def ask(query: zenoh.Query) -> None:
+            question = ZenohQuestion(kind, query, self._max_bytes)
+            if not self._intake.ask(question):
+                self._metrics.refused.labels(str(ErrorCode.overloaded)).inc()
+                question.refuse(error_bytes(_overloaded()))
+                question.close()
+
+        return ask
+
+
+def _too_large(size: int, limit: int) -> ProtocolError:
+    return ProtocolError(
+        ErrorCode.too_large,
+        f"the message has {size} bytes",
+        f"at most {limit}",
+        "send smaller images, or raise --max-message-bytes",
+        {"limit": limit},
+    )
+
+
+def _deleted() -> ProtocolError:
+    return ProtocolError(
+        ErrorCode.malformed, "a delete came", "a put", "start a new epoch to begin afresh"
+    )
+
+
+def _overloaded() -> ProtocolError:
+    return ProtocolError(
+        ErrorCode.overloaded,
+        "the service has more queries than it can answer",
+        remedy="ask again later, or less often",
+    )

@@ -1,0 +1,193 @@
+"""From a batch of arrivals to updated estimators: decode, check, encode, fold.
+
+Every message that cannot be used ends in `Refusals` or, where the fault is ours, in the counter of
+lost ones; it never touches another trajectory's.
+"""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections import defaultdict
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from koop_protocol import (
+    Control,
+    ErrorCode,
+    Frame,
+    KeyKind,
+    Limits,
+    ProtocolError,
+    control_key,
+    decode,
+    frame_key,
+    parse_key,
+)
+from koop_protocol.checks import Image
+from koop_service.encoding.image_codec import ImageCodec
+from koop_service.serving.intake import Arrival, lane_of
+from koop_service.serving.logs import Brake
+from koop_service.serving.metrics import Metrics
+from koop_service.serving.refusals import Refusals
+from koop_service.serving.registry import Registry
+from koop_service.serving.trajectories import Trajectory
+
+log = logging.getLogger("koop.measurements")
+
+Array = NDArray[np.float64]
+
+
+@dataclass(slots=True)
+class _Accepted:
+    """A message that will be folded; a frame's code is computed in between."""
+
+    trajectory: Trajectory
+    message: Frame | Control
+    code: Array | None = None
+
+
+class Measurements:
+    """Folds arrivals into the registry's trajectories, in the order given."""
+
+    def __init__(
+        self, registry: Registry, refusals: Refusals, metrics: Metrics, limits: Limits
+    ) -> None:
+        self._registry = registry
+        self._refusals = refusals
+        self._metrics = metrics
+        self._limits = limits
+        self._brake = Brake()
+
+    def process(self, arrivals: list[Arrival]) -> None:
+        """Use every arrival or account for it; raises nothing."""
+        accepted: list[_Accepted] = []
+        for arrival in arrivals:
+            message = self._read(arrival)
+            if message is None:
+                continue
+            if self._registry.would_replace(message):
+                # A new run with other controls: what its predecessor sent goes first.
+                self._fold(accepted)
+                accepted = []
+            self._accept(arrival, message, accepted)
+        self._fold(accepted)
+
+    def _read(self, arrival: Arrival) -> Frame | Control | None:
+        try:
+            message = decode(arrival.data, self._limits)
+            if not isinstance(message, Frame | Control):
+                raise ProtocolError(
+                    ErrorCode.malformed,
+                    f"a {type(message).__name__} came as a measurement",
+                    "a frame or a control",
+                )
+            _check_key(arrival.key, message)
+        except ProtocolError as error:
+            self._reject(lane_of(arrival.key), error)
+        except Exception:
+            self._lose("reading a message", 1)
+        else:
+            return message
+        return None
+
+    def _accept(
+        self, arrival: Arrival, message: Frame | Control, accepted: list[_Accepted]
+    ) -> None:
+        try:
+            trajectory = self._registry.admit(message)
+        except ProtocolError as error:
+            self._reject(lane_of(arrival.key), error)
+        except Exception:
+            self._lose("admitting a message", 1)
+        else:
+            accepted.append(_Accepted(trajectory, message))
+
+    def _fold(self, accepted: list[_Accepted]) -> None:
+        self._encode(accepted)
+        folded = {Frame: 0, Control: 0}
+        for item in accepted:
+            if self._fold_one(item):
+                folded[type(item.message)] += 1
+        try:
+            updates = self._registry.update_estimators({item.trajectory: None for item in accepted})
+        except Exception:
+            self._lose("updating the estimators", len(accepted))
+            return
+        self._metrics.frames.inc(folded[Frame])
+        self._metrics.controls.inc(folded[Control])
+        self._metrics.updates.inc(updates)
+
+    def _fold_one(self, item: _Accepted) -> bool:
+        message = item.message
+        try:
+            if isinstance(message, Control):
+                item.trajectory.fold_control(message)
+            elif item.code is None:
+                return False  # lost in the encoder, and counted there
+            else:
+                item.trajectory.fold_frame(message, item.code)
+        except ProtocolError as error:
+            self._reject(message.trajectory, error)
+        except Exception:
+            self._lose("folding a message", 1)
+        else:
+            return True
+        return False
+
+    def _encode(self, items: list[_Accepted]) -> None:
+        """Compute the codes, all frames of one model together."""
+        groups: dict[tuple[ImageCodec, bool], list[tuple[_Accepted, Image]]] = defaultdict(list)
+        for item in items:
+            if isinstance(item.message, Frame):
+                image = item.message.image
+                groups[item.trajectory.codec, image.dtype == np.uint8].append((item, image))
+        for (codec, _), group in groups.items():
+            self._encode_group(codec, group)
+
+    def _encode_group(self, codec: ImageCodec, group: list[tuple[_Accepted, Image]]) -> None:
+        started = time.perf_counter()
+        try:
+            codes = codec.encode(_stack([image for _, image in group]))
+        except Exception:
+            self._lose("encoding", len(group))
+            return
+        for (item, _), code in zip(group, codes, strict=True):
+            item.code = code
+        self._metrics.encoding.observe(time.perf_counter() - started)
+        self._metrics.batch.observe(len(group))
+
+    def _reject(self, lane: str, error: ProtocolError) -> None:
+        trajectory = self._registry.find(lane)
+        if trajectory is not None:
+            trajectory.rejected[str(error.code)] += 1
+        self._refusals.note(lane, error)
+
+    def _lose(self, doing: str, count: int) -> None:
+        """An exception of ours: counted, logged with its traceback, and the others go on."""
+        self._metrics.lost.inc(count)
+        if self._brake.admit(doing) is not None:
+            log.exception("%s failed; %d messages are lost, the service goes on", doing, count)
+
+
+def _stack(images: list[Image]) -> NDArray[np.generic]:
+    batch = np.stack(images)
+    return batch if batch.dtype == np.uint8 else batch.astype(np.float32, copy=False)
+
+
+def _check_key(key: str, message: Frame | Control) -> None:
+    """ProtocolError unless the message came on the key that belongs to it."""
+    expected = (frame_key if isinstance(message, Frame) else control_key)(message.trajectory)
+    if key == expected:
+        return
+    kind = KeyKind.frame if isinstance(message, Frame) else KeyKind.control
+    named = parse_key(key)
+    raise ProtocolError(
+        ErrorCode.bad_key,
+        f"a {kind} of {message.trajectory!r} came on the key of a {named.kind} of "
+        f"{named.trajectory!r}",
+        f"the key {expected}",
+        "build keys with the functions of koop_protocol.keys",
+    )

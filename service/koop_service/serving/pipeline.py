@@ -1,0 +1,103 @@
+"""The one thread that owns every trajectory: measurements in batches, answers between them.
+
+No lock guards an estimator, because nobody else touches one. Each turn of the loop first serves
+the measurements that a question waits for, then answers, then takes one batch of the oldest
+measurements: questions wait for one batch at most, and cannot starve the measurements either.
+"""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+from collections.abc import Callable
+
+from koop_service.serving.desk import Desk
+from koop_service.serving.intake import Arrival, Intake
+from koop_service.serving.measurements import Measurements
+from koop_service.serving.questions import Question
+
+log = logging.getLogger("koop.pipeline")
+
+_ANSWERING = 0.01
+"""Longest time spent on answers between two batches [s]."""
+_FINISHING = 0.5
+"""Longest time spent on what still waits when the service stops [s]."""
+_IDLE = 1.0
+"""Longest sleep [s]."""
+
+
+class Pipeline:
+    """Runs the loop in a thread of its own until it is stopped."""
+
+    def __init__(
+        self,
+        intake: Intake[Question],
+        measurements: Measurements,
+        desk: Desk,
+        batch: int,
+        lost: Callable[[int], None],
+    ) -> None:
+        self._intake = intake
+        self._measurements = measurements
+        self._desk = desk
+        self._batch = batch
+        self._lost = lost
+        self._stopping = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="koop-pipeline", daemon=True)
+
+    def start(self) -> None:
+        """Begin."""
+        self._thread.start()
+
+    def stop(self, timeout: float) -> None:
+        """End after the batch in work, waiting `timeout` [s] at most for it."""
+        self._stopping.set()
+        self._intake.close()
+        self._thread.join(timeout)
+
+    @property
+    def finished(self) -> bool:
+        """Whether nobody touches the trajectories any more."""
+        return not self._thread.is_alive()
+
+    def step(self) -> None:
+        """One turn of the loop."""
+        self._desk.collect()
+        urgent = self._urgent()
+        if urgent:
+            self._measurements.process(urgent)
+        self._desk.answer(_ANSWERING)
+        batch = self._intake.take(self._batch)
+        if batch:
+            self._measurements.process(batch)
+
+    def _urgent(self) -> list[Arrival]:
+        """What questions wait for, a batch at most."""
+        urgent: list[Arrival] = []
+        for lane, ticket in self._desk.urgent():
+            room = self._batch - len(urgent)
+            if room == 0:
+                break
+            urgent += self._intake.take_of(lane, ticket, room)
+        return urgent
+
+    def _run(self) -> None:
+        while not self._stopping.is_set():
+            if not self._desk.busy:
+                self._intake.wait(_IDLE)
+            try:
+                self.step()
+            except Exception:
+                log.exception("a turn of the pipeline failed; the service goes on")
+        self._finish()
+
+    def _finish(self) -> None:
+        """Fold what still waits, as far as time allows, and answer everybody."""
+        deadline = time.monotonic() + _FINISHING
+        while self._intake.depth and time.monotonic() < deadline:
+            self.step()
+        self._desk.abandon()
+        if self._intake.depth:
+            self._lost(self._intake.depth)
+            log.warning("%d measurements still waited at the end", self._intake.depth)

@@ -1,0 +1,73 @@
+"""What is kept of a trajectory from one run of the service to the next, as plain values."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import asdict
+from typing import Any
+
+import numpy as np
+
+from koop_service.encoding.catalogue import ModelEntry
+from koop_service.encoding.image_codec import ImageCodec
+from koop_service.estimation.estimator import Bank
+from koop_service.estimation.settings import EstimatorSettings
+from koop_service.estimation.stream import Stream
+from koop_service.serving.trajectories import Trajectory
+
+_VERSION = 1
+
+
+def snapshot_of(trajectory: Trajectory) -> dict[str, Any]:
+    """The record from which `restored` continues with the same bits."""
+    return {
+        "version": _VERSION,
+        "model": trajectory.entry.name,
+        "weights": trajectory.entry.fingerprint,
+        "settings": asdict(trajectory.settings),
+        "epoch": trajectory.epoch,
+        "predecessors": list(trajectory.predecessors),
+        "dtype": trajectory.dtype.str,
+        "rejected": dict(trajectory.rejected),
+        "stream": trajectory.stream.snapshot(),
+        "lane": trajectory.bank.snapshot(trajectory.lane),
+    }
+
+
+def check_record(record: Mapping[str, Any], entry: ModelEntry, settings: EstimatorSettings) -> None:
+    """ValueError unless the record was made by these weights and settings."""
+    for name, found, wanted in (
+        ("version", record["version"], _VERSION),
+        ("model", record["model"], entry.name),
+        ("weights", record["weights"], entry.fingerprint),
+        ("settings", record["settings"], asdict(settings)),
+    ):
+        if found != wanted:
+            raise ValueError(f"its {name} is {found}, now {wanted}")
+
+
+def restored(
+    name: str, record: Mapping[str, Any], entry: ModelEntry, codec: ImageCodec, bank: Bank
+) -> Trajectory:
+    """The trajectory of a checked record. Raises an error, and keeps no lane, if it is damaged."""
+    stream = Stream.restore(bank.settings, record["stream"])
+    dtype = np.dtype(record["dtype"])
+    lane = bank.open()
+    try:
+        bank.restore(lane, record["lane"])
+    except Exception:
+        bank.close(lane)
+        raise
+    return Trajectory(
+        name,
+        entry,
+        codec,
+        bank,
+        lane,
+        stream,
+        str(record["epoch"]),
+        tuple(record["predecessors"]),
+        dtype,
+        Counter(record["rejected"]),
+    )

@@ -1,0 +1,229 @@
+"""One trajectory in the service: its stream, its lane of a bank, its model and its counters."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from koop_protocol import Control, ErrorCode, Frame, ProtocolError
+from koop_service.encoding.catalogue import ModelEntry
+from koop_service.encoding.image_codec import ImageCodec
+from koop_service.estimation.estimator import Bank
+from koop_service.estimation.settings import EstimatorSettings
+from koop_service.estimation.stream import Admission, Stream, Transition
+from koop_service.prediction.model import LinearModel
+
+Array = NDArray[np.float64]
+
+_LARGEST_CONTROL = 1e30
+"""Beyond it the estimator's squares could overflow; no actuator is."""
+REMEMBERED_EPOCHS = 8
+"""Ended runs whose messages are still recognised as late."""
+
+_REFUSALS = {
+    "duplicates": ErrorCode.stale_sequence,
+    "late": ErrorCode.stale_sequence,
+    "stale_epoch": ErrorCode.stale_epoch,
+}
+
+
+@dataclass(eq=False)
+class Trajectory:
+    """Everything that the service knows about one trajectory; owned by the pipeline's thread.
+
+    epoch: the source's present run. predecessors: runs that ended with other controls.
+    queue: transitions folded from the stream, not yet given to the bank.
+    """
+
+    name: str
+    entry: ModelEntry
+    codec: ImageCodec
+    bank: Bank
+    lane: int
+    stream: Stream
+    epoch: str
+    predecessors: tuple[str, ...] = ()
+    dtype: np.dtype = field(default_factory=lambda: np.dtype(np.uint8))
+    rejected: Counter[str] = field(default_factory=Counter)
+    queue: list[Transition] = field(default_factory=list)
+
+    @property
+    def settings(self) -> EstimatorSettings:
+        """The estimator's sizes and constants."""
+        return self.stream.settings
+
+    # Folding
+
+    def check_frame(self, frame: Frame) -> None:
+        """ProtocolError unless the frame fits the model and its turn has not passed."""
+        if frame.control_size != self.settings.control_size:
+            raise ProtocolError(
+                ErrorCode.wrong_shape,
+                f"control_size is {frame.control_size}",
+                f"{self.settings.control_size}, as in this epoch's earlier frames",
+                "start a new epoch",
+            )
+        check_image(frame, self.entry, self.codec)
+        self._check_epoch(frame)
+        admission = self.stream.admit_frame(frame.epoch, frame.seq)
+        if not admission.welcome:
+            raise _stale(frame, admission is Admission.STALE_EPOCH, self.stream.next_seq)
+
+    def check_control(self, control: Control) -> None:
+        """ProtocolError unless the control has the stream's size."""
+        if len(control.u) != self.settings.control_size:
+            raise ProtocolError(
+                ErrorCode.wrong_shape,
+                f"u has {len(control.u)} components",
+                f"{self.settings.control_size}, the control_size of this trajectory's frames",
+            )
+        if np.abs(control.u).max() > _LARGEST_CONTROL:
+            raise ProtocolError(
+                ErrorCode.too_large,
+                f"u has the component {control.u[np.abs(control.u).argmax()]:g}",
+                f"magnitudes up to {_LARGEST_CONTROL:g}",
+                "check the actuators' unit",
+            )
+        self._check_epoch(control)
+
+    def fold_frame(self, frame: Frame, code: Array) -> None:
+        """Fold a frame's code (n,). Raises ProtocolError where it came twice in one batch."""
+        before = self._refusals()
+        self._take(self.stream.fold_frame(frame.epoch, frame.seq, code))
+        self._raise_refusal(frame, before)
+        self.dtype = frame.image.dtype
+
+    def fold_control(self, control: Control) -> None:
+        """Fold a control. Raises ProtocolError where it is late, doubled or of an ended epoch."""
+        before = self._refusals()
+        self._take(self.stream.fold_control(control.epoch, control.seq, control.u))
+        self._raise_refusal(control, before)
+
+    def _take(self, transitions: list[Transition]) -> None:
+        """Queue them for the bank; at the first message of a new epoch start afresh."""
+        if self.stream.epoch is not None and self.stream.epoch != self.epoch:
+            self.epoch = self.stream.epoch
+            self.queue.clear()
+            self.bank.reset(self.lane)
+        self.queue += transitions
+
+    def _check_epoch(self, message: Frame | Control) -> None:
+        if message.epoch in self.predecessors:
+            raise _stale(message, True, self.stream.next_seq)
+
+    def _refusals(self) -> tuple[int, ...]:
+        counters = self.stream.counters
+        return tuple(counters[name] for name in _REFUSALS)
+
+    def _raise_refusal(self, message: Frame | Control, before: tuple[int, ...]) -> None:
+        for name, then, now in zip(_REFUSALS, before, self._refusals(), strict=True):
+            if now > then:
+                raise _stale(message, name == "stale_epoch", self.stream.next_seq)
+
+    def ended_epochs(self) -> tuple[str, ...]:
+        """Runs that are over, the present one's predecessors in this stream included."""
+        ended: list[str] = [*self.predecessors, *self.stream.snapshot()["retired"]]
+        return tuple(ended[-REMEMBERED_EPOCHS:])
+
+    # What is known
+
+    @property
+    def last_seq(self) -> int:
+        """Number of the newest folded frame."""
+        return self.stream.next_seq - 1
+
+    @property
+    def updates(self) -> int:
+        """Transitions learned from in this epoch."""
+        return self.bank.updates(self.lane)
+
+    @property
+    def warmup(self) -> tuple[int, int]:
+        """Frames that count, and frames needed before the first prediction."""
+        need = self.settings.warmup_frames
+        if self.updates == 0:
+            return min(self.stream.frames, self.settings.history), need
+        return min(self.settings.history + self.updates, need), need
+
+    @property
+    def ready(self) -> bool:
+        """Whether predictions are answered."""
+        have, need = self.warmup
+        return have >= need and self.stream.history is not None
+
+    def posterior(self) -> Posterior:
+        """What is known of the model's uncertainty."""
+        factor = self.bank.factor(self.lane)
+        return Posterior(self.bank.covariance(self.lane), factor.R)
+
+    def model(self) -> LinearModel:
+        """The present model, solved when asked for."""
+        return LinearModel.from_theta(self.bank.theta(self.lane), self.settings)
+
+    def counters(self) -> dict[str, int]:
+        """Events by name."""
+        rejected = {f"rejected_{reason}": count for reason, count in self.rejected.items()}
+        return {**self.stream.counters, **rejected}
+
+
+@dataclass(frozen=True, eq=False)
+class Posterior:
+    """S (n, n), covariance of the one-step residual, and R (d, d), the estimator's factor."""
+
+    S: Array
+    R: Array
+
+
+def check_image(frame: Frame, entry: ModelEntry, codec: ImageCodec) -> None:
+    """ProtocolError unless the model can encode this image."""
+    if frame.renderer != codec.renderer:
+        raise ProtocolError(
+            "renderer_mismatch",
+            f"the frames are drawn by {_renderer(frame.renderer)}",
+            f"{_renderer(codec.renderer)}, whose pictures the model {entry.name!r} was trained on",
+            "render with that one, or train a model on these pictures",
+        )
+    if frame.image.shape != tuple(codec.image_shape):
+        raise ProtocolError(
+            ErrorCode.wrong_shape,
+            f"the image has shape {frame.image.shape}",
+            f"{tuple(codec.image_shape)}, as the model {entry.name!r} takes",
+        )
+    check_range(frame.image, ErrorCode.malformed, "image")
+
+
+def check_range(image: NDArray[np.generic], code: str, field_name: str) -> None:
+    """ProtocolError unless a picture of floats is within [0, 1]."""
+    if image.dtype == np.uint8:
+        return
+    low, high = float(image.min()), float(image.max())
+    if low < 0.0 or high > 1.0:
+        raise ProtocolError(
+            code,
+            f"{field_name} has values from {low:g} to {high:g}",
+            "floats in [0, 1]",
+            "divide by 255, or send uint8",
+            {"field": field_name},
+        )
+
+
+def _renderer(name: str) -> str:
+    return f"the renderer {name!r}" if name else "a real camera"
+
+
+def _stale(message: Frame | Control, epoch_is_over: bool, next_seq: int) -> ProtocolError:
+    if epoch_is_over:
+        return ProtocolError(
+            ErrorCode.stale_epoch,
+            f"epoch {message.epoch} is over",
+            "messages of the newest epoch only",
+            "start a new epoch each time a source starts",
+        )
+    return ProtocolError(
+        ErrorCode.stale_sequence,
+        f"number {message.seq} came twice or after its turn",
+        f"numbers from {next_seq} on",
+    )

@@ -1,0 +1,83 @@
+"""`koop-dataset`: reproducible on any number of workers, and all or nothing."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+import pytest
+
+from koop_clients.dataset import cli
+from koop_clients.dataset.cli import Arguments, write
+from koop_protocol import recording
+
+
+def small(path: Path, **options: Any) -> Arguments:
+    return Arguments("cartpole", path, trajectories=5, frames=6, actuated=True, **options)
+
+
+def contents(path: Path) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
+    with h5py.File(path) as file:
+        arrays = {name: np.asarray(file[name]) for name in file}
+        return arrays, dict(file.attrs)
+
+
+def test_the_file_is_a_koop_recording(tmp_path: Path) -> None:
+    write(small(tmp_path / "a.h5", workers=1, vary=True, seed=3))
+    arrays, attributes = contents(tmp_path / "a.h5")
+    assert arrays[recording.FRAMES_DATASET].shape == (5, 6, 64, 64)
+    assert arrays[recording.FRAMES_DATASET].dtype == np.uint8
+    assert arrays[recording.CONTROLS_DATASET].shape == (5, 5, 1)
+    assert arrays[recording.STATES_DATASET].shape == (5, 6, 4)
+    assert attributes[recording.FORMAT_ATTRIBUTE] == recording.RECORDING_FORMAT
+    assert attributes[recording.SYSTEM_ATTRIBUTE] == "cartpole"
+    assert attributes[recording.ACTUATED_ATTRIBUTE]
+    assert attributes[recording.SEED_ATTRIBUTE] == 3
+    entries = [json.loads(line) for line in arrays[recording.PARAMETERS_DATASET]]
+    assert len({entry["length"] for entry in entries}) == 5
+    assert all("regime" in entry for entry in entries)
+
+
+def test_a_free_plant_has_no_controls(tmp_path: Path) -> None:
+    write(Arguments("pendulum", tmp_path / "a.h5", trajectories=2, frames=4, workers=1))
+    arrays, _ = contents(tmp_path / "a.h5")
+    assert arrays[recording.CONTROLS_DATASET].shape == (2, 3, 0)
+
+
+def test_one_worker_and_two_make_the_same_set(tmp_path: Path) -> None:
+    for workers in (1, 2):
+        write(small(tmp_path / f"{workers}.h5", workers=workers, vary=True))
+    (one, _), (two, _) = contents(tmp_path / "1.h5"), contents(tmp_path / "2.h5")
+    assert one.keys() == two.keys()
+    assert all(np.array_equal(one[name], two[name]) for name in one)
+
+
+def test_another_seed_makes_another_set(tmp_path: Path) -> None:
+    for seed in (1, 2):
+        write(small(tmp_path / f"{seed}.h5", workers=1, seed=seed))
+    (one, _), (two, _) = contents(tmp_path / "1.h5"), contents(tmp_path / "2.h5")
+    assert not np.array_equal(one[recording.FRAMES_DATASET], two[recording.FRAMES_DATASET])
+
+
+def test_a_failure_leaves_the_old_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "a.h5"
+    path.write_bytes(b"precious")
+
+    def fail(*_: object) -> Iterator[object]:
+        yield from ()
+        raise OSError("disk full")
+
+    monkeypatch.setattr(cli, "generate", fail)
+    with pytest.raises(OSError, match="disk full"):
+        write(small(path, workers=1))
+    assert path.read_bytes() == b"precious"
+
+
+@pytest.mark.parametrize("options", [{"trajectories": 0}, {"frames": -1}])
+def test_nonsense_is_refused(tmp_path: Path, options: dict[str, int]) -> None:
+    with pytest.raises(ValueError, match="--trajectories must be at least 1"):
+        write(Arguments("pendulum", tmp_path / "a.h5", **options))

@@ -1,0 +1,28 @@
+"""Fixtures: an untrained model, and a fresh service with a client for each test."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from integration.loopback import Loop, Source, config_for, loop, write_model
+
+
+@pytest.fixture(scope="session")
+def model(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_model(tmp_path_factory.mktemp("model"))
+
+
+@pytest.fixture
+def koop(tmp_path: Path, model: Path) -> Iterator[Loop]:
+    with loop(config_for(tmp_path, model)) as running:
+        yield running
+
+
+@pytest.fixture
+def cart(koop: Loop) -> Source:
+    """A trajectory past its warm-up."""
+    source = Source(koop.session, "cart/0")
+    source.stream(40)
+    return source

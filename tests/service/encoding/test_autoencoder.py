@@ -1,0 +1,87 @@
+"""The architecture, and that what inference runs is what was trained."""
+
+import numpy as np
+import pytest
+import torch
+from torch import nn
+
+from koop_service.encoding.autoencoder import initialised
+from koop_service.encoding.folding import fold
+from koop_service.encoding.image_codec import ImageCodec
+from koop_service.encoding.weights import ModelCard
+
+CARD = ModelCard(system="test", renderer="none", dt=0.05)
+
+
+def lived_in(seed: int):
+    """A model whose normalisations have seen data: every scale, also a negative one."""
+    model = initialised(8, seed).eval()
+    generator = torch.Generator().manual_seed(seed)
+    for module in model.modules():
+        if isinstance(module, nn.BatchNorm2d):
+            module.weight.data.normal_(0, 1, generator=generator)
+            module.bias.data.normal_(0, 0.3, generator=generator)
+            module.running_mean.normal_(0, 0.5, generator=generator)
+            module.running_var.uniform_(0.5, 2.0, generator=generator)
+    return model
+
+
+def pictures(count: int, seed: int = 0) -> np.ndarray:
+    return np.random.default_rng(seed).integers(0, 256, (count, 64, 64)).astype(np.uint8)
+
+
+def test_the_papers_parameter_count():
+    assert sum(p.numel() for p in initialised(8, 0).parameters()) == 117_963
+
+
+def test_encoder_and_decoder_split_the_count_as_the_mathematics_page_says():
+    model = initialised(8, 0)
+    assert sum(p.numel() for p in model.encoder.parameters()) == 81_432
+    assert sum(p.numel() for p in model.decoder.parameters()) == 36_531
+
+
+def test_a_seed_names_the_parameters():
+    one, same, other = (initialised(8, seed).state_dict() for seed in (1, 1, 2))
+    assert all(torch.equal(one[name], same[name]) for name in one)
+    assert not all(torch.equal(one[name], other[name]) for name in one)
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_folding_keeps_the_function(seed):
+    model = lived_in(seed)
+    encoder, decoder = fold(model)
+    images = torch.rand(5, 1, 64, 64)
+    codes = model.encode(images)
+    torch.testing.assert_close(encoder(images).flatten(1), codes, rtol=1e-4, atol=1e-5)
+    torch.testing.assert_close(
+        decoder(codes[:, :, None, None]), model.decode(codes), rtol=1e-4, atol=1e-4
+    )
+    assert not any(isinstance(m, nn.BatchNorm2d) for m in (*encoder.modules(), *decoder.modules()))
+
+
+def test_a_codes_bits_do_not_depend_on_the_batch_it_rode_in():
+    codec = ImageCodec(lived_in(3), CARD)
+    images = pictures(130)
+    together = codec.encode(images)
+    for size in (1, 2, 3, 31, 64, 65):
+        parts = [codec.encode(images[i : i + size]) for i in range(0, 130, size)]
+        assert np.array_equal(np.concatenate(parts), together), f"batches of {size}"
+    order = np.random.default_rng(1).permutation(130)
+    assert np.array_equal(codec.encode(images[order]), together[order])
+
+
+def test_pixel_types_mean_the_same_picture():
+    codec = ImageCodec(lived_in(4), CARD)
+    images = pictures(3)
+    as_float = codec.encode((images / 255).astype(np.float32))
+    np.testing.assert_allclose(as_float, codec.encode(images), atol=1e-5)
+
+
+def test_decoded_pictures_stay_in_range():
+    codec = ImageCodec(lived_in(5), CARD)
+    codes = 10 * np.random.default_rng(0).normal(size=(7, 8))
+    floats, bytes_ = codec.decode(codes), codec.decode(codes, np.uint8)
+    assert floats.shape == bytes_.shape == (7, 64, 64)
+    assert floats.min() >= 0
+    assert floats.max() <= 1
+    np.testing.assert_allclose(bytes_ / 255, floats, atol=0.5 / 255 + 1e-6)

@@ -1,0 +1,97 @@
+"""Weights files: what is written is read, and what does not fit is refused with a reason."""
+
+import json
+
+import pytest
+import torch
+from safetensors.torch import save_file
+
+from koop_service.encoding.autoencoder import initialised
+from koop_service.encoding.catalogue import Catalogue, ModelEntry
+from koop_service.encoding.weights import (
+    EstimatorDefaults,
+    ModelCard,
+    fingerprint,
+    load_card,
+    load_weights,
+    save_weights,
+)
+
+CARD = ModelCard(
+    system="cartpole",
+    renderer="koop-sdf-1",
+    dt=0.05,
+    estimator=EstimatorDefaults(rho=0.1, forgetting=0.98),
+    training={"seed": 3},
+)
+
+
+@pytest.fixture
+def saved(tmp_path):
+    path = tmp_path / "model.safetensors"
+    save_weights(path, initialised(8, 0), CARD)
+    return path
+
+
+def test_round_trip(saved):
+    model, card = load_weights(saved)
+    assert card == CARD
+    fresh = initialised(8, 0).state_dict()
+    assert all(torch.equal(tensor, fresh[name]) for name, tensor in model.state_dict().items())
+
+
+def test_a_file_that_is_no_safetensors(tmp_path):
+    path = tmp_path / "junk.safetensors"
+    path.write_bytes(b"\x80\x04 not weights")
+    with pytest.raises(ValueError, match="cannot be read as safetensors"):
+        load_weights(path)
+
+
+def test_somebody_elses_safetensors(tmp_path):
+    path = tmp_path / "other.safetensors"
+    save_file({"x": torch.zeros(2)}, path)
+    with pytest.raises(ValueError, match=r"not a koop autoencoder.*koop-train"):
+        load_weights(path)
+
+
+def test_weights_of_another_shape(tmp_path):
+    path = tmp_path / "short.safetensors"
+    metadata = {"format": "koop-autoencoder-1", "card": json.dumps(_card_fields())}
+    save_file({"encoder.0.0.weight": torch.zeros(1)}, path, metadata)
+    with pytest.raises(ValueError, match="does not hold the weights"):
+        load_weights(path)
+
+
+def test_weights_that_are_not_finite(tmp_path):
+    model = initialised(8, 0)
+    model.encoder[0][0].weight.data[0] = float("nan")
+    path = tmp_path / "nan.safetensors"
+    save_weights(path, model, CARD)
+    with pytest.raises(ValueError, match="not finite"):
+        load_weights(path)
+
+
+def test_a_broken_card(tmp_path):
+    path = tmp_path / "card.safetensors"
+    save_file({"x": torch.zeros(1)}, path, {"format": "koop-autoencoder-1", "card": "{"})
+    with pytest.raises(ValueError, match="model card that cannot be read"):
+        load_card(path)
+
+
+def test_the_users_models_come_before_the_bundled(saved):
+    mine = ModelEntry("mine", saved, ("cartpole/*", "line3/*"))
+    catalogue = Catalogue.bundled().preferring([mine])
+    assert catalogue.match("cartpole/0") is mine
+    assert catalogue.match("line3/robot7") is mine
+    assert catalogue.match("unheard/of") is None
+    assert catalogue.names()[0] == "mine"
+
+
+def test_fingerprints_tell_weights_apart(saved, tmp_path):
+    other = tmp_path / "other.safetensors"
+    save_weights(other, initialised(8, 1), CARD)
+    assert fingerprint(saved) != fingerprint(other)
+
+
+def _card_fields() -> dict:
+    return {"system": "s", "renderer": "r", "dt": 0.05, "estimator": {}, "image_shape": [64, 64]}
