@@ -29,7 +29,7 @@ import numpy as np
 import psutil
 import zenoh
 
-from koop_protocol import Frame, PredictQuery, decode, encode, frame_key, predict_key
+from koop_protocol import Frame, PredictQuery, decode, encode, frame_key, predict_key, state_key
 
 SIZE = 64
 PICTURES = 128
@@ -217,6 +217,10 @@ def publish(endpoint: str, trajectories: list[str], first: int, stop: Event, sen
                 publisher.put(template.message(seq))
             seq += 1
             sent.value = (seq - first) * len(trajectories)
+        # Closing a session drops what it has not sent yet; an answer proves that all of it has
+        # arrived, since a query is answered after the measurements that came before it.
+        for name in trajectories:
+            list(session.get(state_key(name), timeout=60.0))
 
 
 def ask(endpoint: str, trajectories: list[str], stop: Event, results) -> None:
@@ -235,82 +239,70 @@ def ask(endpoint: str, trajectories: list[str], stop: Event, results) -> None:
     results.put((latencies, refusals))
 
 
+@dataclass
+class Load:
+    """One stretch of full load."""
+
+    sent: int
+    folded: int
+    frames_per_s: float
+    resident: list[tuple[float, int]]
+    latencies: list[float]
+    refusals: list[str]
+
+
 def under_load(options: argparse.Namespace, folder: Path, weights: Path) -> dict[str, float]:
+    """One trajectory first, so that everything is in place which does not grow with their number."""
     names = [f"benchmark/{i}" for i in range(options.trajectories)]
     with service(options, folder, weights) as served:
-        warm = run_source(served, names[:1], 0, WARM_SECONDS)
-        fixed = served.resident()
-        first = run_source(served, names, warm, WARM_SECONDS)  # past everybody's warm-up
-        return measure(options, served, names, first, fixed)
+        alone = run(served, names[:1], 0, WARM_SECONDS)
+        several = run(served, names, alone.sent, WARM_SECONDS)
+        first = alone.sent + several.sent // len(names)
+        load = run(served, names, first, 60.0 * options.minutes)
+        held = served.metric("koop_held_total")
+    return figures_of(options, load, alone.resident[-1][1]) | {"held_back": held}
 
 
-def run_source(served: Service, names: list[str], first: int, seconds: float) -> int:
-    """Stream for a while; returns the next number after all was folded."""
-    context = multiprocessing.get_context("spawn")
-    stop, sent = context.Event(), context.Value("q", 0)
-    before = accounted(served)
-    source = context.Process(target=publish, args=(served.endpoint, names, first, stop, sent))
-    source.start()
-    time.sleep(seconds)
-    stop.set()
-    source.join()
-    drain(served, before + sent.value)
-    return first + sent.value // len(names)
-
-
-def drain(served: Service, expected: float) -> None:
-    """Wait until everything sent is accounted for, or nothing moves any more."""
-    last, since = -1.0, time.monotonic()
-    while time.monotonic() - since < 10.0:
-        now = accounted(served)
-        if now >= expected:
-            return
-        if now != last:
-            last, since = now, time.monotonic()
-        time.sleep(0.05)
-
-
-def accounted(served: Service) -> float:
-    return served.metric("koop_frames_total") + served.metric("koop_rejected_total")
-
-
-def measure(
-    options: argparse.Namespace, served: Service, names: list[str], first: int, fixed: int
-) -> dict[str, float]:
-    """All figures of one stretch of full load."""
+def run(served: Service, names: list[str], first: int, seconds: float) -> Load:
+    """Stream and ask for a while, then wait until everything sent is folded."""
     context = multiprocessing.get_context("spawn")
     stop, sent, results = context.Event(), context.Value("q", 0), context.Queue()
-    before = accounted(served)
-    load = [
+    before = served.metric("koop_frames_total")
+    processes = [
         context.Process(target=publish, args=(served.endpoint, names, first, stop, sent)),
         context.Process(target=ask, args=(served.endpoint, names, stop, results)),
     ]
-    for process in load:
+    for process in processes:
         process.start()
-    frames_per_s, resident = watch(served, 60.0 * options.minutes)
+    frames_per_s, resident = watch(served, seconds)
     stop.set()
     latencies, refusals = results.get()
-    for process in load:
+    for process in processes:
         process.join()
-    drain(served, before + sent.value)
-    if refusals:
-        print(f"{len(refusals)} queries were refused, the first with: {refusals[0]}")
+    folded = int(served.metric("koop_frames_total") - before)
+    return Load(sent.value, folded, frames_per_s, resident, latencies, refusals)
+
+
+def figures_of(options: argparse.Namespace, load: Load, fixed: int) -> dict[str, float]:
+    """The figures to print; `fixed` is the resident memory with one trajectory [bytes]."""
+    if load.refusals:
+        print(f"{len(load.refusals)} queries were refused, the last with: {load.refusals[-1]}")
+    latencies, resident = load.latencies, load.resident[-1][1]
     return {
-        "trajectories": len(names),
+        "trajectories": options.trajectories,
         "seconds": 60.0 * options.minutes,
         "threads": options.threads,
-        "frames_per_s": frames_per_s,
-        "sent": sent.value,
-        "lost": before + sent.value - accounted(served) + served.metric("koop_rejected_total"),
-        "held_back": served.metric("koop_held_total"),
+        "frames_per_s": load.frames_per_s,
+        "sent": load.sent,
+        "lost": load.sent - load.folded,
         "queries": len(latencies),
-        "refused": len(refusals),
+        "refused": len(load.refusals),
         "predict_p50_ms": 1e3 * float(np.percentile(latencies, 50)),
         "predict_p99_ms": 1e3 * float(np.percentile(latencies, 99)),
         "predict_max_ms": 1e3 * max(latencies),
-        "resident_mb": resident[-1][1] / 1e6,
-        "kb_per_trajectory": (resident[-1][1] - fixed) / 1e3 / (len(names) - 1),
-        "growth_kb_per_min": growth(resident) / 1e3,
+        "resident_mb": resident / 1e6,
+        "kb_per_trajectory": (resident - fixed) / 1e3 / (options.trajectories - 1),
+        "growth_kb_per_min": growth(load.resident) / 1e3,
     }
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gc
 import logging
+import os
 import signal
 import sys
 import threading
@@ -11,12 +12,15 @@ from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 
+# The service's matrices are small, and threads for them would fight with the encoder's over the
+# cores: predictions with standard deviations take ten times as long then.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
 import torch
 import zenoh
 
 from koop_protocol import Limits
 from koop_service.encoding.catalogue import Catalogue, ModelEntry
-from koop_service.estimation.estimator import warm_up
 from koop_service.serving import logs
 from koop_service.serving.config import ServiceConfig
 from koop_service.serving.desk import Desk
@@ -27,9 +31,11 @@ from koop_service.serving.metrics import Metrics
 from koop_service.serving.options import read_options
 from koop_service.serving.outbox import Outbox
 from koop_service.serving.pipeline import Pipeline
+from koop_service.serving.process import limit_arenas
 from koop_service.serving.questions import Question
 from koop_service.serving.refusals import Refusals
 from koop_service.serving.registry import Registry, settings_for
+from koop_service.serving.rehearsal import rehearse
 from koop_service.serving.session import UnreachableError, locators, open_session
 from koop_service.serving.snapshots import SnapshotStore
 
@@ -56,6 +62,7 @@ class Service:
 
 def main() -> None:
     """Entry point of `koop-serve`."""
+    limit_arenas()
     try:
         config = read_options(sys.argv[1:])
         logs.configure(config.monitoring.log_format, config.monitoring.log_level)
@@ -94,7 +101,7 @@ def running(config: ServiceConfig, session: zenoh.Session) -> Iterator[Service]:
     )
     store = SnapshotStore(config.state_folder)
     restored = registry.restore(store.load())
-    _prepare(catalogue, config)
+    _prepare(registry, catalogue)
     with ExitStack() as stack:
         pipeline = _start(config, session, registry, refusals, metrics, stack)
         port = _serve_metrics(config, metrics, stack)
@@ -169,10 +176,10 @@ def _catalogue(config: ServiceConfig) -> Catalogue:
     return catalogue
 
 
-def _prepare(catalogue: Catalogue, config: ServiceConfig) -> None:
-    """Compile what the first frame would have to wait for, then keep it out of the collector."""
+def _prepare(registry: Registry, catalogue: Catalogue) -> None:
+    """Load what the first frame would have to wait for, and keep it out of garbage collection."""
     for entry in catalogue.entries[:1]:
-        warm_up(settings_for(entry, config.estimator, 1))
+        rehearse(*registry.equipment(entry, control_size=1))
     gc.collect()
     gc.freeze()
 

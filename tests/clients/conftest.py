@@ -13,7 +13,7 @@ import pytest
 import zenoh
 
 from koop_clients.mechanics.rendering import Renderer
-from koop_clients.mechanics.simulation import Simulator, State, hold
+from koop_clients.mechanics.simulation import Simulator, State, hold, without_drift
 from koop_clients.mechanics.systems import System
 from koop_protocol import (
     Control,
@@ -113,7 +113,11 @@ class Clairvoyant:
             self._go(message.seq, float(message.u[0]))
 
     def _go(self, seq: int, torque: float) -> None:
-        self._states.append(self._simulator.frame(self._states[seq], hold(torque), seq)[0])
+        self._states.append(self._follow(self._states[seq], torque))
+
+    def _follow(self, state: State, torque: float) -> State:
+        following, _ = self._simulator.frame(state, hold(torque), 0)
+        return without_drift(self._system, following)
 
     def _predict(self, query: zenoh.Query) -> None:
         with query:
@@ -127,7 +131,7 @@ class Clairvoyant:
             for torque in (
                 np.zeros(asked.horizon) if asked.controls is None else asked.controls[:, 0]
             ):
-                state = self._simulator.frame(state, hold(float(torque)), 0)[0]
+                state = self._follow(state, float(torque))
                 states.append(state.q)
             frames = self._renderer.sequence(np.stack(states))
             reply = PredictReply(last.trajectory, last.epoch, last.seq, frames=frames)

@@ -22,7 +22,7 @@ def small(path: Path, **options: Any) -> Arguments:
 
 def contents(path: Path) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
     with h5py.File(path) as file:
-        arrays = {name: np.asarray(file[name]) for name in file}
+        arrays = {str(name): np.asarray(file[str(name)]) for name in file}
         return arrays, dict(file.attrs)
 
 
@@ -78,6 +78,6 @@ def test_a_failure_leaves_the_old_file(tmp_path: Path, monkeypatch: pytest.Monke
 
 
 @pytest.mark.parametrize("options", [{"trajectories": 0}, {"frames": -1}])
-def test_nonsense_is_refused(tmp_path: Path, options: dict[str, int]) -> None:
+def test_nonsense_is_refused(tmp_path: Path, options: dict[str, Any]) -> None:
     with pytest.raises(ValueError, match="--trajectories must be at least 1"):
         write(Arguments("pendulum", tmp_path / "a.h5", **options))

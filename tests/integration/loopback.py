@@ -6,7 +6,7 @@ import json
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -23,7 +23,6 @@ from koop_protocol import (
     StateReply,
     control_key,
     decode,
-    decode_as,
     encode,
     frame_key,
     lqr_key,
@@ -34,7 +33,6 @@ from koop_service.cli import Service, running
 from koop_service.encoding.autoencoder import initialised
 from koop_service.encoding.weights import EstimatorDefaults, ModelCard, save_weights
 from koop_service.serving.config import (
-    EstimatorChoices,
     LimitSettings,
     ModelRule,
     NetworkSettings,
@@ -48,7 +46,7 @@ DEADLINE = 30.0  # seconds; a test that meets it has failed
 
 
 def write_model(folder: Path) -> Path:
-    """An untrained model of its own renderer; what the service does with it is real all the same."""
+    """An untrained model of its own renderer; all that the service does with it is real."""
     path = folder / "model.safetensors"
     card = ModelCard("test", RENDERER, 0.05, estimator=EstimatorDefaults(affine=False))
     save_weights(path, initialised(8, seed=0), card)
@@ -109,9 +107,12 @@ class Loop:
 @contextmanager
 def loop(config: ServiceConfig) -> Iterator[Loop]:
     """Start service and client; both are gone at the end, and the state is stored."""
-    with open_session(config.network) as hub, running(config, hub) as service:
-        with client(service.endpoints[0]) as session:
-            yield Loop(service, session, config)
+    with (
+        open_session(config.network) as hub,
+        running(config, hub) as service,
+        client(service.endpoints[0]) as session,
+    ):
+        yield Loop(service, session, config)
 
 
 @contextmanager
@@ -153,7 +154,6 @@ class Source:
     epoch: str = "00000000000000aa"
     control_size: int = 1
     renderer: str = RENDERER
-    sent: list[int] = field(default_factory=list)
 
     def frame(self, seq: int, **changes: object) -> Frame:
         frame = Frame(
@@ -182,7 +182,6 @@ class Source:
             self.put(self.frame(seq))
             if self.control_size and seq < stop - 1:
                 self.put(self.control(seq))
-        self.sent.append(stop)
 
 
 def wait_until(condition: Callable[[], bool], what: str = "the condition") -> None:

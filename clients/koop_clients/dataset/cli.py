@@ -16,19 +16,18 @@ import tyro
 from tqdm import tqdm
 
 from koop_clients.dataset.generate import Recipe, generate
+from koop_clients.mechanics.excitation import Regime
 from koop_clients.mechanics.rendering import IMAGE_SIZE, RENDERER
 from koop_clients.mechanics.simulation import FRAME_INTERVAL
 from koop_clients.mechanics.systems import build_system
 from koop_protocol import recording
 
-# Actuated sets mix regimes: probing and soft ones identify A and B, tight ones cover what the paper
-# shows, and free swings what a plant does with its motor off.
-_ACTUATED_MIX = {
-    "probing": 0.35,
-    "soft": 0.2,
-    "soft-hanging": 0.1,
-    "paper": 0.15,
-    "free": 0.2,
+# Actuated sets mix regimes: probing and soft ones identify A and B in the region where control
+# acts, and free swings show what a plant does with its motor off.
+_ACTUATED_MIX: dict[Regime, float] = {
+    "probing": 0.4,
+    "soft": 0.35,
+    "free": 0.25,
 }
 
 
@@ -47,7 +46,7 @@ class Arguments:
     actuated: bool = False
     """Drive the pole's joint, as the paper's section 3.3 does."""
     excitation: Literal["mix", "paper", "probing", "soft"] = "mix"
-    """How an actuated plant is driven: the paper's tight tracking, the same with a probing torque,
+    """How an actuated plant is driven: the paper's tight tracking, tracking with a probing torque,
     softly with more of it, or a mix of these and free swings."""
     vary: bool = False
     """Draw masses and lengths anew for each trajectory."""

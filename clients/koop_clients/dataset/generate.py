@@ -56,6 +56,5 @@ def _sample(job: tuple[Recipe, int]) -> Sample:
     regime: Regime = names[int(rng.choice(len(names), p=weights / weights.sum()))]
     parameters = sample_parameters(recipe.system, rng) if recipe.vary else {}
     system = build_system(recipe.system, parameters)
-    high = recipe.high or (regime == "free" and bool(rng.random() < 0.5))
-    trajectory = simulate(system, regime, rng, recipe.frames, high)
+    trajectory = simulate(system, regime, rng, recipe.frames, recipe.high)
     return Sample(trajectory, system.parameters, regime)

@@ -1,9 +1,9 @@
 """What drives a plant while its dynamics are learned: eq. 14's references under eq. 15's PD.
 
 The paper's gains track so tightly that the torque is nearly a function of the state, and then A and
-B cannot be told apart. The `probing` regime adds a multisine torque to it, which keeps them
-identifiable. `soft` has low gains and more of that torque, held for each frame, as a controller
-would; `soft-hanging` does so around the hanging position; `free` lets the plant swing.
+B cannot be told apart. The `probing` regime tracks livelier references and adds a multisine torque,
+which keeps them identifiable. `soft` has low gains and more of that torque, held for each frame, as
+a controller would; `soft-hanging` does so around the hanging position; `free` lets the plant swing.
 """
 
 from __future__ import annotations
@@ -21,7 +21,9 @@ TORQUE_BOUND = 30.0  # N m
 
 # Largest amplitude [rad] and frequency [Hz] of each of the three sinusoids of a reference (A.2.1).
 _PAPER_REFERENCE = {"pendulum": (np.pi / 3, 0.3), "cartpole": (2 * np.pi / 3, 0.1)}
-_SOFT_REFERENCE = (np.pi / 3, 0.4)
+
+# Of the probing and soft regimes: the region around upright in which control acts.
+_NEAR_REFERENCE = (0.6, 0.4)
 
 _PAPER_GAINS = (100.0, 10.0)  # N m/rad, N m s/rad
 _PROBING_TORQUE = 3.0  # N m, standard deviation
@@ -104,13 +106,15 @@ def excitation(
     """The torque law of a regime, and the reference that it tracks (None when free)."""
     if regime == "free":
         return hold(0.0), None
-    if regime in ("paper", "probing"):
+    if regime == "paper":
         limits = _PAPER_REFERENCE.get(system.name, _PAPER_REFERENCE["pendulum"])
         reference = _sample_reference(rng, *limits)
-        extra = None if regime == "paper" else _sample_multisine(rng, _PROBING_TORQUE)
-        return Tracking(system, reference, _PAPER_GAINS, extra).policy(), reference
+        return Tracking(system, reference, _PAPER_GAINS).policy(), reference
     centre = np.pi if regime == "soft-hanging" else 0.0
-    reference = _sample_reference(rng, *_SOFT_REFERENCE, centre)
+    reference = _sample_reference(rng, *_NEAR_REFERENCE, centre)
+    if regime == "probing":
+        extra = _sample_multisine(rng, _PROBING_TORQUE)
+        return Tracking(system, reference, _PAPER_GAINS, extra).policy(), reference
     return soft_tracking(system, reference, rng).policy(), reference
 
 

@@ -14,6 +14,7 @@ from koop_clients.queries import KoopClient, KoopError
 from koop_clients.sim_client.arguments import Arguments, DriveOptions
 from koop_clients.sim_client.display import DRIVING_HEADING, Display, driving_row, usual
 from koop_clients.sim_client.outcome import angle_between
+from koop_clients.sim_client.patience import Patience, in_few_words
 from koop_clients.sim_client.record import DriveLog
 from koop_clients.sim_client.streaming import Stream
 from koop_protocol import LqrQuery, LqrReply
@@ -38,19 +39,25 @@ class Planner:
         self._query = query
         self._deadline = deadline
         self._plan: LqrReply | None = None
+        self._patience = Patience()
         self.latencies: deque[float] = deque(maxlen=10_000)
         self.late = 0
         self.standing = ""
 
     def torque(self, seq: int) -> float:
-        """The torque [N m] to hold between frame `seq`, put just now, and the next."""
+        """The torque [N m] to hold between frame `seq`, put just now, and the next.
+
+        Raises KoopError for a refusal that waiting does not heal.
+        """
         started = time.perf_counter()
         try:
             self._plan = self._client.lqr(self._trajectory, self._query, timeout=self._deadline)
         except KoopError as error:
+            self._patience.try_with(error)
             self.late += 1
-            self.standing = str(error)
+            self.standing = in_few_words(error)
         else:
+            self._patience.restore()
             self.latencies.append(time.perf_counter() - started)
             self.standing = "" if self._plan.status == "solved" else self._plan.status
         return planned_torque(self._plan, seq)

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from koop_clients.mechanics.rendering import Renderer
-from koop_clients.mechanics.simulation import Policy, Simulator, State
+from koop_clients.mechanics.simulation import Policy, Simulator, State, without_drift
 from koop_clients.mechanics.systems import System
 
 
@@ -74,4 +74,4 @@ class Plant:
             number, state = self._end
             following, torque = self._simulator.frame(state, self._policy, number)
             self._ahead.append(_Interval(number, state, torque))
-            self._end = (number + 1, following)
+            self._end = (number + 1, without_drift(self.system, following))

@@ -29,7 +29,7 @@ class Batch:
 
 @dataclass(frozen=True, eq=False)
 class Loss:
-    """`total` is minimised; the others are RMSE a pixel and relative RMSE of codes."""
+    """`total` is minimised; the others are (robust) RMSE a pixel and relative RMSE of codes."""
 
     total: Tensor
     reconstruction: float
@@ -96,8 +96,15 @@ def _pick(sequence: Tensor, index: Tensor) -> Tensor:
 def _decoded_error(
     model: Autoencoder, codes: Tensor, images: Tensor, count: int, rng: np.random.Generator
 ) -> Tensor:
-    """Mean squared pixel error of `count` randomly chosen codes (..., n) decoded."""
+    """Squared pixel error of `count` randomly chosen codes (..., n) decoded, robust by picture.
+
+    A diverged code decodes to anything; its error counts no more than logarithmically beyond the
+    pictures' own variance, or one of them would drown a whole batch.
+    """
     flat_codes, flat_images = codes.flatten(0, -2), images.flatten(0, -3)
     chosen = torch.from_numpy(rng.choice(len(flat_codes), min(count, len(flat_codes)), False))
     decoded = model.decode(flat_codes[chosen])
-    return ((decoded[:, 0] - flat_images[chosen]) ** 2).mean()
+    truth = flat_images[chosen]
+    error = ((decoded[:, 0] - truth) ** 2).mean((1, 2))
+    scale = truth.var()
+    return (scale * torch.log1p(error / scale)).mean()

@@ -28,6 +28,9 @@ from koop_service.serving.trajectories import Trajectory, check_range
 
 Array = NDArray[np.float64]
 
+MAX_PLANNED = 400
+"""Most numbers in a control sequence (N*p): the QP's time grows with its cube, to about 50 ms."""
+
 
 def predict(trajectory: Trajectory, query: PredictQuery) -> PredictReply:
     """Roll the present model out from the last folded frame (eq. 8)."""
@@ -154,6 +157,14 @@ def _check_sizes(trajectory: Trajectory, query: LqrQuery) -> None:
             f"the trajectory {trajectory.name!r} is not actuated: its frames say control_size 0",
             "an actuated one",
             "stream with controls (koop-sim-client --actuated)",
+        )
+    if query.horizon * p > MAX_PLANNED:
+        raise ProtocolError(
+            ErrorCode.bad_horizon,
+            f"horizon is {query.horizon}",
+            f"at most {MAX_PLANNED // p} steps with {p} controls",
+            "plan less far ahead, and again at later frames",
+            {"field": "horizon", "limit": MAX_PLANNED // p},
         )
     for name, value, what, size, code in (
         ("target_code", query.target_code, "code", n, ErrorCode.bad_target),

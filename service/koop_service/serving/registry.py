@@ -154,6 +154,12 @@ class Registry:
             return False
         return True
 
+    def equipment(
+        self, entry: ModelEntry, control_size: int
+    ) -> tuple[ImageCodec, EstimatorSettings]:
+        """What a trajectory of this model would be opened with."""
+        return self._codec(entry), settings_for(entry, self._choices, control_size)
+
     # Opening
 
     def _open(self, frame: Frame, former: Trajectory | None) -> Trajectory:

@@ -56,6 +56,8 @@ def zenoh_config(settings: NetworkSettings) -> zenoh.Config:
     if settings.connect:
         _set(config, "connect/endpoints", list(settings.connect))
     _set(config, "connect/retry", _RETRY)
+    if settings.zenoh_config is None or settings.shared_memory:
+        _set(config, "transport/shared_memory/enabled", settings.shared_memory)
     if settings.zenoh_config is None or settings.scouting:
         _set(config, "scouting/multicast/enabled", settings.scouting)
         _set(config, "scouting/gossip/enabled", settings.scouting)

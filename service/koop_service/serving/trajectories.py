@@ -59,6 +59,7 @@ class Trajectory:
 
     def check_frame(self, frame: Frame) -> None:
         """ProtocolError unless the frame fits the model and its turn has not passed."""
+        self._check_epoch(frame)
         if frame.control_size != self.settings.control_size:
             raise ProtocolError(
                 ErrorCode.wrong_shape,
@@ -67,7 +68,6 @@ class Trajectory:
                 "start a new epoch",
             )
         check_image(frame, self.entry, self.codec)
-        self._check_epoch(frame)
         admission = self.stream.admit_frame(frame.epoch, frame.seq)
         if not admission.welcome:
             raise _stale(frame, admission is Admission.STALE_EPOCH, self.stream.next_seq)
