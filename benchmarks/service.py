@@ -252,7 +252,7 @@ class Load:
 
 
 def under_load(options: argparse.Namespace, folder: Path, weights: Path) -> dict[str, float]:
-    """One trajectory first, so that everything is in place which does not grow with their number."""
+    """One trajectory first: what does not grow with their number is in place then."""
     names = [f"benchmark/{i}" for i in range(options.trajectories)]
     with service(options, folder, weights) as served:
         alone = run(served, names[:1], 0, WARM_SECONDS)

@@ -41,6 +41,8 @@ from koop_service.serving.snapshots import SnapshotStore
 
 log = logging.getLogger("koop.service")
 
+_REHEARSED = 64
+"""Largest batch that is rehearsed."""
 _RETRY = 0.5
 """Seconds between two attempts to reach a router."""
 _LAST_BATCH = 0.7
@@ -101,7 +103,7 @@ def running(config: ServiceConfig, session: zenoh.Session) -> Iterator[Service]:
     )
     store = SnapshotStore(config.state_folder)
     restored = registry.restore(store.load())
-    _prepare(registry, catalogue)
+    _prepare(registry, catalogue, config.compute.batch)
     with ExitStack() as stack:
         pipeline = _start(config, session, registry, refusals, metrics, stack)
         port = _serve_metrics(config, metrics, stack)
@@ -134,7 +136,7 @@ def _start(
     stack.callback(outbox.stop, _LAST_ANSWERS)
     pipeline.start()
     stack.callback(pipeline.stop, _LAST_BATCH)
-    endpoint = Endpoint(intake, refusals, metrics, limits.max_message_bytes)
+    endpoint = Endpoint(intake, metrics, limits.max_message_bytes)
     stack.enter_context(endpoint.declared(session))
     return pipeline
 
@@ -176,10 +178,10 @@ def _catalogue(config: ServiceConfig) -> Catalogue:
     return catalogue
 
 
-def _prepare(registry: Registry, catalogue: Catalogue) -> None:
+def _prepare(registry: Registry, catalogue: Catalogue, batch: int) -> None:
     """Load what the first frame would have to wait for, and keep it out of garbage collection."""
     for entry in catalogue.entries[:1]:
-        rehearse(*registry.equipment(entry, control_size=1))
+        rehearse(*registry.equipment(entry, control_size=1), min(batch, _REHEARSED))
     gc.collect()
     gc.freeze()
 

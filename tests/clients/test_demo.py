@@ -157,6 +157,7 @@ def test_a_killed_demo_leaves_no_child(tmp_path: Path, number: signal.Signals) -
     )
     process = subprocess.Popen([sys.executable, "-c", code], stderr=subprocess.DEVNULL)
     children = _wait_for_lines(tmp_path / "pids", 2)
+    time.sleep(0.5)  # a child can write before Popen has returned in its parent
     process.send_signal(number)
     assert process.wait(10) != 0
     for pid in children:

@@ -155,6 +155,10 @@ class Source:
     control_size: int = 1
     renderer: str = RENDERER
 
+    @property
+    def frame_key(self) -> str:
+        return frame_key(self.name)
+
     def frame(self, seq: int, **changes: object) -> Frame:
         frame = Frame(
             self.name,
@@ -191,3 +195,15 @@ def wait_until(condition: Callable[[], bool], what: str = "the condition") -> No
         time.sleep(0.01)
 
 
+def burst(endpoint: str, first: int, trajectories: int, frames: int) -> None:
+    """Everything packed beforehand, then put as fast as the service takes it."""
+    with client(endpoint) as session:
+        sources = [
+            Source(session, f"cart/{first + i}", seed=first + i, control_size=0)
+            for i in range(trajectories)
+        ]
+        packed = [(s, encode(s.frame(seq))) for seq in range(frames) for s in sources]
+        for source, payload in packed:
+            source.put_raw(source.frame_key, payload)
+        # Closing drops what is not sent yet; an answer proves that everything has arrived.
+        list(session.get(f"koop/state/cart/{first}", timeout=DEADLINE))

@@ -80,11 +80,12 @@ LQR_QUERIES = {
 
 def assert_still_serving(koop: Loop) -> None:
     assert isinstance(koop.predict("cart/0"), PredictReply)
-    assert koop.service.metrics.value("koop_queue_queries") == 0
+    wait_until(lambda: koop.service.metrics.value("koop_queue_queries") == 0)
 
 
 @pytest.mark.parametrize("case", QUERIES)
-def test_a_bad_selector_gets_an_error(koop: Loop, cart: Source, case: str) -> None:
+@pytest.mark.usefixtures("cart")
+def test_a_bad_selector_gets_an_error(koop: Loop, case: str) -> None:
     code, selector = QUERIES[case]
     reply = koop.ask_one(selector)
     assert isinstance(reply, ErrorReply)
@@ -95,7 +96,8 @@ def test_a_bad_selector_gets_an_error(koop: Loop, cart: Source, case: str) -> No
 
 
 @pytest.mark.parametrize("case", LQR_QUERIES)
-def test_a_bad_lqr_query_gets_an_error(koop: Loop, cart: Source, case: str) -> None:
+@pytest.mark.usefixtures("cart")
+def test_a_bad_lqr_query_gets_an_error(koop: Loop, case: str) -> None:
     code, changes = LQR_QUERIES[case]
     reply = koop.ask_one("koop/lqr/cart/0", lqr(**changes))
     assert isinstance(reply, ErrorReply)
@@ -112,7 +114,8 @@ def test_a_bad_lqr_query_gets_an_error(koop: Loop, cart: Source, case: str) -> N
         ("not_finite", encode(PredictQuery(3, np.zeros((3, 1)))).replace(bytes(24), b"\xff" * 24)),
     ],
 )
-def test_a_bad_payload_gets_an_error(koop: Loop, cart: Source, code: str, payload: bytes) -> None:
+@pytest.mark.usefixtures("cart")
+def test_a_bad_payload_gets_an_error(koop: Loop, code: str, payload: bytes) -> None:
     reply = koop.ask_one("koop/predict/cart/0", payload)
     assert isinstance(reply, ErrorReply)
     assert reply.code == code
@@ -132,11 +135,14 @@ def test_a_reply_beyond_the_largest_message_is_refused(tmp_path: Path, model: Pa
         reply = koop.ask_one("koop/predict/cart/0?horizon=200;return=frames")
         assert isinstance(reply, ErrorReply)
         assert reply.code == "too_large"
-        assert isinstance(koop.ask_one("koop/predict/cart/0?horizon=20;return=frames"), PredictReply)
+        assert isinstance(
+            koop.ask_one("koop/predict/cart/0?horizon=20;return=frames"), PredictReply
+        )
 
 
+@pytest.mark.usefixtures("cart")
 def test_an_exception_of_ours_is_answered_and_logged(
-    koop: Loop, cart: Source, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+    koop: Loop, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     def fail(*_: object) -> None:
         raise RuntimeError("a bug")
@@ -157,6 +163,7 @@ def test_too_many_queries_are_told_so(
     with loop(config_for(tmp_path, model, queue_queries=3)) as koop:
         Source(koop.session, "cart/0").stream(40)
         koop.state("cart/0")
+        wait_until(lambda: koop.service.metrics.value("koop_queue_queries") == 0)
         with monkeypatch.context() as patch:
             patch.setattr("koop_service.serving.desk.Desk._is_due", lambda *_: False)
             waiting = [koop.session.get("koop/state/cart/0", timeout=DEADLINE) for _ in range(3)]

@@ -7,6 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pytest
 from integration.loopback import WARMUP, Loop, Source, config_for, control, loop, picture
 
 from koop_protocol import ErrorCode, ErrorReply, LqrQuery, LqrReply, PredictQuery, PredictReply
@@ -26,9 +27,8 @@ def test_a_prediction_is_answered_by_selector_alone(koop: Loop, cart: Source) ->
     assert reply.frames.dtype == np.uint8
 
 
-def test_a_prediction_is_that_of_ridge_regression_on_the_codes(
-    koop: Loop, cart: Source, model: Path
-) -> None:
+@pytest.mark.usefixtures("cart")
+def test_a_prediction_is_that_of_ridge_regression_on_the_codes(koop: Loop, model: Path) -> None:
     """The naive formula: encode everything, refit everything, roll out."""
     codec = ImageCodec(*load_weights(model))
     Z = codec.encode(np.stack([picture(0, k) for k in range(40)]))
@@ -46,7 +46,8 @@ def test_a_prediction_is_that_of_ridge_regression_on_the_codes(
     np.testing.assert_allclose(reply.codes, expected[2:], rtol=1e-6, atol=1e-9)
 
 
-def test_omitted_controls_hold_the_last_one(koop: Loop, cart: Source) -> None:
+@pytest.mark.usefixtures("cart")
+def test_omitted_controls_hold_the_last_one(koop: Loop) -> None:
     held = koop.predict("cart/0", PredictQuery(6))
     given = koop.predict("cart/0", PredictQuery(6, np.tile(control(0, 38), (6, 1))))
     zero = koop.predict("cart/0", PredictQuery(6, np.zeros((6, 1))))
@@ -87,7 +88,8 @@ def test_before_the_warm_up_is_over_it_says_how_far_it_is(koop: Loop) -> None:
     assert isinstance(koop.predict("cart/new"), PredictReply)
 
 
-def test_a_wildcard_gets_one_reply_a_trajectory(koop: Loop, cart: Source) -> None:
+@pytest.mark.usefixtures("cart")
+def test_a_wildcard_gets_one_reply_a_trajectory(koop: Loop) -> None:
     for i in range(1, 4):
         Source(koop.session, f"cart/{i}", seed=i).stream(40)
     Source(koop.session, "cart/young").stream(3)
@@ -102,7 +104,8 @@ def test_a_wildcard_gets_one_reply_a_trajectory(koop: Loop, cart: Source) -> Non
     assert len(koop.ask("koop/*/cart/1")) == 3  # predict, state, and lqr's complaint
 
 
-def test_lqr_to_a_picture_and_to_its_code(koop: Loop, cart: Source, model: Path) -> None:
+@pytest.mark.usefixtures("cart")
+def test_lqr_to_a_picture_and_to_its_code(koop: Loop, model: Path) -> None:
     target = picture(0, 100)
     bounds = {"u_min": np.array([-0.5]), "u_max": np.array([0.5])}
     shown = koop.lqr("cart/0", LqrQuery(10, target, returns=frozenset({"codes"}), **bounds))

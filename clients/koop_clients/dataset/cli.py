@@ -9,11 +9,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Literal
 
-import h5py
-import hdf5plugin
 import numpy as np
 import tyro
-from tqdm import tqdm
 
 from koop_clients.dataset.generate import Recipe, generate
 from koop_clients.mechanics.excitation import Regime
@@ -22,12 +19,20 @@ from koop_clients.mechanics.simulation import FRAME_INTERVAL
 from koop_clients.mechanics.systems import build_system
 from koop_protocol import recording
 
+try:
+    import h5py
+    import hdf5plugin
+    from tqdm import tqdm
+except ModuleNotFoundError as error:
+    sys.exit(f"koop-dataset needs {error.name}: pip install 'koop[train]'")
+
 # Actuated sets mix regimes: probing and soft ones identify A and B in the region where control
-# acts, and free swings show what a plant does with its motor off.
+# acts and around the hanging position, and free swings show what a plant does with its motor off.
 _ACTUATED_MIX: dict[Regime, float] = {
-    "probing": 0.4,
-    "soft": 0.35,
-    "free": 0.25,
+    "probing": 0.25,
+    "soft": 0.25,
+    "soft-hanging": 0.3,
+    "free": 0.2,
 }
 
 

@@ -110,12 +110,19 @@ def excitation(
         limits = _PAPER_REFERENCE.get(system.name, _PAPER_REFERENCE["pendulum"])
         reference = _sample_reference(rng, *limits)
         return Tracking(system, reference, _PAPER_GAINS).policy(), reference
-    centre = np.pi if regime == "soft-hanging" else 0.0
-    reference = _sample_reference(rng, *_NEAR_REFERENCE, centre)
-    if regime == "probing":
-        extra = _sample_multisine(rng, _PROBING_TORQUE)
-        return Tracking(system, reference, _PAPER_GAINS, extra).policy(), reference
-    return soft_tracking(system, reference, rng).policy(), reference
+    reference = near_reference(rng, np.pi if regime == "soft-hanging" else 0.0)
+    tracking = probing_tracking if regime == "probing" else soft_tracking
+    return tracking(system, reference, rng).policy(), reference
+
+
+def near_reference(rng: np.random.Generator, centre: float) -> Reference:
+    """A random reference around `centre` [rad], of the probing and soft regimes."""
+    return _sample_reference(rng, *_NEAR_REFERENCE, centre)
+
+
+def probing_tracking(system: System, reference: Reference, rng: np.random.Generator) -> Tracking:
+    """The `probing` regime around a reference of the caller's."""
+    return Tracking(system, reference, _PAPER_GAINS, _sample_multisine(rng, _PROBING_TORQUE))
 
 
 def soft_tracking(system: System, reference: Reference, rng: np.random.Generator) -> Tracking:

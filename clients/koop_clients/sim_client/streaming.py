@@ -3,12 +3,17 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 import zenoh
 
-from koop_clients.mechanics.excitation import constant_reference, excitation, soft_tracking
+from koop_clients.mechanics.excitation import (
+    constant_reference,
+    excitation,
+    near_reference,
+    probing_tracking,
+)
 from koop_clients.mechanics.rendering import RENDERER
 from koop_clients.mechanics.simulation import (
     FRAME_INTERVAL,
@@ -76,7 +81,7 @@ def _plant(arguments: Arguments, system: System, index: int) -> Plant:
     rng = np.random.default_rng((arguments.seed, index))
     policy, state = _initial(arguments, system, rng)
     if arguments.drive == "lqr":
-        approach = soft_tracking(system, constant_reference(arguments.lqr.start_angle), rng)
+        approach = probing_tracking(system, constant_reference(arguments.lqr.start_angle), rng)
         last = int(takeover_frame(arguments)) - _APPROACH_FRAMES
         policy = _in_turn(policy, approach.policy(), last)
     return Plant(system, policy, state)
@@ -87,12 +92,9 @@ def _initial(
 ) -> tuple[Policy, State]:
     if not arguments.is_actuated:
         return excitation(system, "free", rng)[0], random_state(system, rng)
-    policy, reference = excitation(system, "soft", rng)
-    if reference is None:
-        raise ValueError("the soft regime tracks a reference")
-    if arguments.drive == "lqr":
-        reference = replace(reference, centre=arguments.lqr.target_angle)
-        policy = soft_tracking(system, reference, rng).policy()
+    centre = arguments.lqr.target_angle if arguments.drive == "lqr" else 0.0
+    reference = near_reference(rng, centre)
+    policy = probing_tracking(system, reference, rng).policy()
     return policy, with_pole(system, *reference(0.0))
 
 

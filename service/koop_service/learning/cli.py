@@ -16,10 +16,14 @@ import tyro
 from koop_service.encoding.autoencoder import Autoencoder
 from koop_service.encoding.image_codec import ImageCodec
 from koop_service.encoding.weights import EstimatorDefaults, ModelCard, load_weights, save_weights
-from koop_service.learning.evaluation import encode_all, evaluate, select
 from koop_service.learning.presets import PRESETS, Preset
-from koop_service.learning.recording import Recording, load_recording
-from koop_service.learning.train import train
+
+try:
+    from koop_service.learning.evaluation import encode_all, evaluate, select
+    from koop_service.learning.recording import Recording, load_recording
+    from koop_service.learning.train import train
+except ModuleNotFoundError as error:
+    sys.exit(f"koop-train needs {error.name}: pip install 'koop[train]'")
 
 HELD_OUT = 0.04  # share of the trajectories, the last ones, that training never sees
 

@@ -31,7 +31,7 @@ class Preset:
     rate: float = 1e-3
     clip: float = 0.1
     consistency: float = 0.02
-    growth: float = 0.6
+    growth: float = 0.4
     rho: float = 1e-2
     refinements: int = 2
     history: int = 2

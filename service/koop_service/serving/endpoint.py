@@ -10,10 +10,9 @@ import zenoh
 
 from koop_protocol import CONTROLS, FRAMES, LQRS, PREDICTIONS, STATES, ErrorCode, ProtocolError
 from koop_protocol.keys import KeyKind
-from koop_service.serving.intake import Intake, lane_of
+from koop_service.serving.intake import Intake
 from koop_service.serving.metrics import Metrics
 from koop_service.serving.questions import Question, ZenohQuestion, error_bytes
-from koop_service.serving.refusals import Refusals
 
 log = logging.getLogger("koop.endpoint")
 
@@ -23,11 +22,8 @@ _QUERYABLES = {PREDICTIONS: KeyKind.predict, LQRS: KeyKind.lqr, STATES: KeyKind.
 class Endpoint:
     """What the service hears: frames, controls and queries."""
 
-    def __init__(
-        self, intake: Intake[Question], refusals: Refusals, metrics: Metrics, max_bytes: int
-    ) -> None:
+    def __init__(self, intake: Intake[Question], metrics: Metrics, max_bytes: int) -> None:
         self._intake = intake
-        self._refusals = refusals
         self._metrics = metrics
         self._max_bytes = max_bytes
 
@@ -46,10 +42,12 @@ class Endpoint:
     def _measure(self, sample: zenoh.Sample) -> None:
         key, size = str(sample.key_expr), len(sample.payload)
         if size > self._max_bytes:
-            self._refusals.note(lane_of(key), _too_large(size, self._max_bytes))
+            taken = self._intake.put(key, b"", _too_large(size, self._max_bytes))
         elif sample.kind == zenoh.SampleKind.DELETE:
-            self._refusals.note(lane_of(key), _deleted())
-        elif not self._intake.put(key, sample.payload.to_bytes()):
+            taken = self._intake.put(key, b"", _deleted())
+        else:
+            taken = self._intake.put(key, sample.payload.to_bytes())
+        if not taken:
             self._metrics.lost.inc()
 
     def _asker(self, kind: KeyKind) -> Callable[[zenoh.Query], None]:

@@ -14,16 +14,22 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Generic, TypeVar
 
+from koop_protocol import ProtocolError
+
 Q = TypeVar("Q")
 
 
 @dataclass(slots=True)
 class Arrival:
-    """One measurement's bytes as they came. `taken` marks what a short cut took out of turn."""
+    """One measurement's bytes as they came, or what was wrong with them before they were read.
+
+    `taken` marks what a short cut took out of turn.
+    """
 
     key: str
     data: bytes
     ticket: int
+    fault: ProtocolError | None = None
     taken: bool = False
 
 
@@ -82,7 +88,7 @@ class Intake(Generic[Q]):
         """Queries taken in and not answered yet."""
         return self._unanswered
 
-    def put(self, key: str, data: bytes) -> bool:
+    def put(self, key: str, data: bytes, fault: ProtocolError | None = None) -> bool:
         """Add a measurement, waiting for space; False if the queue was closed instead."""
         with self._lock:
             if self._full(len(data)):
@@ -90,7 +96,7 @@ class Intake(Generic[Q]):
                 self._space.wait_for(lambda: self._closed or not self._full(len(data)))
             if self._closed:
                 return False
-            self._add(Arrival(key, data, self._next_ticket()))
+            self._add(Arrival(key, data, self._next_ticket(), fault))
             self._work.notify()
         return True
 

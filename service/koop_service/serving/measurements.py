@@ -77,6 +77,8 @@ class Measurements:
 
     def _read(self, arrival: Arrival) -> Frame | Control | None:
         try:
+            if arrival.fault is not None:
+                raise arrival.fault
             message = decode(arrival.data, self._limits)
             if not isinstance(message, Frame | Control):
                 raise ProtocolError(

@@ -6,7 +6,7 @@ import ctypes
 import sys
 
 _M_ARENA_MAX = -8
-_ARENAS = 2
+_ARENAS = 1
 
 
 def limit_arenas() -> None:

@@ -7,7 +7,6 @@ so when somebody asks about a trajectory that it does not know.
 from __future__ import annotations
 
 import logging
-import threading
 from collections import OrderedDict
 
 from koop_protocol import ProtocolError
@@ -23,20 +22,18 @@ _SHOWN = 200
 
 
 class Refusals:
-    """Where every rejected message ends; safe to call from Zenoh's threads and the pipeline's."""
+    """Where every rejected message ends."""
 
     def __init__(self, metrics: Metrics, brake: Brake | None = None) -> None:
         self._metrics = metrics
         self._brake = brake or Brake()
-        self._lock = threading.Lock()
         self._last: OrderedDict[str, ProtocolError] = OrderedDict()
 
     def note(self, lane: str, error: ProtocolError) -> None:
         """Count and log one rejection; `lane` is the trajectory as far as the key names one."""
         self._metrics.rejected.labels(str(error.code)).inc()
-        with self._lock:
-            self._remember(lane, error)
-            held = self._brake.admit(str(error.code))
+        self._remember(lane, error)
+        held = self._brake.admit(str(error.code))
         if held is not None:
             more = f" ({held} more of the kind '{error.code}' since the last line)" if held else ""
             log.warning(

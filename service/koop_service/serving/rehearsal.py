@@ -17,11 +17,13 @@ from koop_service.prediction.model import LinearModel
 from koop_service.prediction.uncertainty import rollout_std
 
 
-def rehearse(codec: ImageCodec, settings: EstimatorSettings) -> None:
+def rehearse(codec: ImageCodec, settings: EstimatorSettings, batch: int) -> None:
     """Encode, learn, predict and control nothing in particular; `settings` have a control."""
     warm_up(settings)
-    picture = np.zeros((2, *codec.image_shape), np.uint8)
-    codec.decode(codec.encode(picture), np.uint8)
+    pictures = np.zeros((batch + 1, *codec.image_shape), np.uint8)
+    for size in range(1, batch + 1):  # each once: the allocator then has what it will ever need
+        codec.encode(pictures[:size])
+    codec.decode(codec.encode(pictures[:2]), np.uint8)
     n, h, p = settings.code_size, settings.history, settings.control_size
     bank = Bank(settings)
     lane = bank.open()

@@ -61,6 +61,8 @@ def zenoh_config(settings: NetworkSettings) -> zenoh.Config:
     if settings.zenoh_config is None or settings.scouting:
         _set(config, "scouting/multicast/enabled", settings.scouting)
         _set(config, "scouting/gossip/enabled", settings.scouting)
+    if not settings.scouting and settings.zenoh_config is None:
+        _set(config, "scouting/delay", 0)  # else a hub waits half a second for nobody
     return config
 
 
@@ -81,7 +83,8 @@ def open_session(settings: NetworkSettings) -> zenoh.Session:
             raise CannotListenError(settings.endpoints or (LOOPBACK,), reason) from error
         if "onnect" in reason:
             raise UnreachableError(f"no router at {', '.join(settings.connect)} yet") from error
-        raise OSError(reason) from error
+        where = ", ".join((*settings.endpoints, *settings.connect)) or settings.zenoh_config
+        raise OSError(f"cannot open the Zenoh session on {where}: {reason}") from error
 
 
 def locators(session: zenoh.Session) -> list[str]:

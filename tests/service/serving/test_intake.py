@@ -1,0 +1,118 @@
+"""The queues: order, the short cut, the bounds."""
+
+from __future__ import annotations
+
+import threading
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from koop_service.serving.intake import Arrival, Intake, lane_of
+
+
+def key(name: str) -> str:
+    return f"koop/frame/00/{name}"
+
+
+def intake(messages: int = 100, size: int = 10_000, queries: int = 3) -> Intake[str]:
+    return Intake(messages, size, queries)
+
+
+def names(batch: list[Arrival]) -> list[bytes]:
+    return [arrival.data for arrival in batch]
+
+
+def test_frames_and_controls_of_a_trajectory_share_a_lane() -> None:
+    assert lane_of("koop/frame/1b/line/3") == lane_of("koop/control/1b/line/3") == "line/3"
+    assert lane_of("nonsense") == "nonsense"
+
+
+def test_measurements_come_out_as_they_came_in() -> None:
+    queue = intake()
+    for i in range(5):
+        queue.put(key(str(i % 2)), bytes([i]))
+    assert names(queue.take(3)) == [b"\0", b"\1", b"\2"]
+    assert names(queue.take(9)) == [b"\3", b"\4"]
+    assert queue.take(1) == []
+
+
+def test_the_short_cut_takes_what_came_before_the_question_and_no_more() -> None:
+    queue = intake()
+    for i in range(3):
+        queue.put(key("a"), bytes([i]))
+        queue.put(key("b"), bytes([10 + i]))
+    queue.ask("about b")
+    queue.put(key("b"), b"later")
+    (waiting,) = queue.take_queries()
+    assert queue.is_behind(waiting.ticket, "b")
+    assert names(queue.take_of("b", waiting.ticket, 2)) == [b"\x0a", b"\x0b"]
+    assert names(queue.take_of("b", waiting.ticket, 9)) == [b"\x0c"]
+    assert not queue.is_behind(waiting.ticket, "b")
+    assert queue.is_behind(waiting.ticket, None)
+    assert names(queue.take(9)) == [b"\0", b"\1", b"\2", b"later"]
+    assert not queue.is_behind(waiting.ticket, None)
+    assert queue.depth == 0
+
+
+@given(st.lists(st.sampled_from("abc<>"), max_size=60))
+def test_every_trajectory_keeps_its_order_whatever_is_taken_when(script: str) -> None:
+    """Letters put, '<' takes from the front, '>' takes lane b out of turn."""
+    queue, sent, got = intake(), {}, {}
+    for step, letter in enumerate(script):
+        if letter in "abc":
+            queue.put(key(letter), bytes([step]))
+            sent.setdefault(letter, []).append(bytes([step]))
+            continue
+        taken = queue.take(2) if letter == "<" else queue.take_of("b", 10**9, 1)
+        for arrival in taken:
+            got.setdefault(lane_of(arrival.key), []).append(arrival.data)
+    for arrival in queue.take(100):
+        got.setdefault(lane_of(arrival.key), []).append(arrival.data)
+    assert got == sent
+    assert queue.depth == 0
+
+
+@pytest.mark.parametrize("bounds", [{"messages": 2}, {"size": 20}])
+def test_a_full_queue_holds_the_source_back_and_drops_nothing(bounds: dict[str, int]) -> None:
+    held = threading.Event()
+    queue = Intake[str](bounds.get("messages", 99), bounds.get("size", 999), 1, held.set)
+    source = threading.Thread(target=lambda: [queue.put(key("a"), bytes(10)) for _ in range(7)])
+    source.start()
+    assert held.wait(10)
+    assert queue.depth == 2
+    assert source.is_alive()
+    taken = 0
+    while taken < 7:
+        queue.wait(1.0)
+        batch = queue.take(1)
+        assert queue.depth <= 2
+        taken += len(batch)
+    source.join(10)
+    assert not source.is_alive()
+
+
+def test_one_message_larger_than_the_bound_still_passes() -> None:
+    queue = intake(size=20)
+    assert queue.put(key("a"), bytes(50))
+    assert len(queue.take(1)) == 1
+
+
+def test_too_many_questions_are_turned_away_until_one_is_answered() -> None:
+    queue = intake(queries=2)
+    assert [queue.ask("x") for _ in range(3)] == [True, True, False]
+    queue.take_queries()
+    assert not queue.ask("x")
+    queue.answered()
+    assert queue.ask("x")
+
+
+def test_closing_lets_a_held_source_go() -> None:
+    queue, results = intake(messages=1), []
+    queue.put(key("a"), b"x")
+    source = threading.Thread(target=lambda: results.append(queue.put(key("a"), b"y")))
+    source.start()
+    queue.close()
+    source.join(10)
+    assert results == [False]
+    assert not queue.ask("x")
