@@ -53,6 +53,23 @@ class Reference:
         return angle, float(np.sum(self.amplitude * self.rate * np.cos(argument)))
 
 
+@dataclass(frozen=True)
+class Lift:
+    """A smooth way from one angle [rad] to another, beginning at `begin`, `duration` long [s]."""
+
+    start: float
+    end: float
+    begin: float
+    duration: float
+
+    def __call__(self, time: float) -> tuple[float, float]:
+        """Angle [rad] and its rate [rad/s] at `time` [s]."""
+        share = min(max((time - self.begin) / self.duration, 0.0), 1.0)
+        way = self.end - self.start
+        rate = 6 * share * (1 - share) * way / self.duration
+        return self.start + share * share * (3 - 2 * share) * way, rate
+
+
 @dataclass(frozen=True, eq=False)
 class Multisine:
     """A sum of sinusoids: amplitudes [N m], angular rates [rad/s], phases [rad]."""
@@ -74,7 +91,7 @@ class Tracking:
     """
 
     system: System
-    reference: Reference
+    reference: Reference | Lift
     gains: tuple[float, float]
     extra: Multisine | None = None
     hold_frame: bool = False
@@ -120,7 +137,9 @@ def near_reference(rng: np.random.Generator, centre: float) -> Reference:
     return _sample_reference(rng, *_NEAR_REFERENCE, centre)
 
 
-def probing_tracking(system: System, reference: Reference, rng: np.random.Generator) -> Tracking:
+def probing_tracking(
+    system: System, reference: Reference | Lift, rng: np.random.Generator
+) -> Tracking:
     """The `probing` regime around a reference of the caller's."""
     return Tracking(system, reference, _PAPER_GAINS, _sample_multisine(rng, _PROBING_TORQUE))
 
@@ -130,11 +149,6 @@ def soft_tracking(system: System, reference: Reference, rng: np.random.Generator
     proportional, derivative, spread = _SOFT_GAINS[system.name]
     extra = _sample_multisine(rng, spread)
     return Tracking(system, reference, (proportional, derivative), extra, hold_frame=True)
-
-
-def constant_reference(angle: float) -> Reference:
-    """A reference that stays at `angle` [rad]."""
-    return Reference(np.zeros(0), np.zeros(0), np.zeros(0), angle)
 
 
 def _sample_reference(

@@ -12,8 +12,9 @@ from koop_clients.sim_client.arguments import Arguments
 from koop_clients.sim_client.display import Display, learning_heading, learning_row, usual
 from koop_clients.sim_client.forecasting import Asker
 from koop_clients.sim_client.record import Scorebook
+from koop_clients.sim_client.schedule import approach_frame
 from koop_clients.sim_client.scoring import Forecast, pool
-from koop_clients.sim_client.streaming import Stream, takeover_frame
+from koop_clients.sim_client.streaming import Stream
 from koop_protocol import ErrorCode, PredictReply
 
 _RECENT = 20  # forecasts behind the errors of a progress row
@@ -28,14 +29,14 @@ class Learning:
         self._horizons = arguments.horizons
         self._ahead = arguments.prediction.ahead
         self._period = max(1, round(arguments.prediction.ask_every / FRAME_INTERVAL))
-        self._last = takeover_frame(arguments)
+        self._last = approach_frame(arguments)
         self._streams = streams
         self._asker = asker
         self._display = display
 
     def step(self, number: int, frames: Sequence[np.ndarray], book: Scorebook) -> None:
         """Frames `number` were put: ask about them, and let the plants go on."""
-        # Beyond the takeover the controls will not be those that were looked ahead at.
+        # While the pole is lifted the plant is elsewhere with every frame: that is not judged.
         if number % self._period == 0 and number + self._ahead <= self._last:
             self._forecast(0, frames)
             if others := len(self._streams) - 1:

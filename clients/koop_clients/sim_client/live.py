@@ -20,8 +20,9 @@ from koop_clients.sim_client.outcome import outcome
 from koop_clients.sim_client.pacing import Pace, Stop
 from koop_clients.sim_client.record import Record, Scorebook
 from koop_clients.sim_client.report import Result, latency
+from koop_clients.sim_client.schedule import takeover_frame
 from koop_clients.sim_client.scoring import pool
-from koop_clients.sim_client.streaming import open_streams, takeover_frame
+from koop_clients.sim_client.streaming import open_streams
 
 
 class LiveRun:

@@ -2,34 +2,19 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, field
 
 import numpy as np
 import zenoh
 
-from koop_clients.mechanics.excitation import (
-    constant_reference,
-    excitation,
-    near_reference,
-    probing_tracking,
-)
 from koop_clients.mechanics.rendering import RENDERER
-from koop_clients.mechanics.simulation import (
-    FRAME_INTERVAL,
-    Policy,
-    State,
-    random_state,
-    with_pole,
-)
 from koop_clients.mechanics.systems import System
 from koop_clients.sim_client.arguments import Arguments
 from koop_clients.sim_client.plant import Plant
 from koop_clients.sim_client.record import Scorebook
+from koop_clients.sim_client.schedule import excited
 from koop_clients.sim_client.scoring import Judge
 from koop_clients.sources import FrameSource
-
-_APPROACH_FRAMES = 25  # before lqr takes over
 
 
 @dataclass(eq=False)
@@ -72,32 +57,6 @@ def open_streams(arguments: Arguments, system: System, session: zenoh.Session) -
     ]
 
 
-def takeover_frame(arguments: Arguments) -> float:
-    """Number of the first frame that lqr drives; infinite without lqr."""
-    return round(arguments.lqr.learn / FRAME_INTERVAL) if arguments.drive == "lqr" else math.inf
-
-
 def _plant(arguments: Arguments, system: System, index: int) -> Plant:
     rng = np.random.default_rng((arguments.seed, index))
-    policy, state = _initial(arguments, system, rng)
-    if arguments.drive == "lqr":
-        approach = probing_tracking(system, constant_reference(arguments.lqr.start_angle), rng)
-        last = int(takeover_frame(arguments)) - _APPROACH_FRAMES
-        policy = _in_turn(policy, approach.policy(), last)
-    return Plant(system, policy, state)
-
-
-def _initial(
-    arguments: Arguments, system: System, rng: np.random.Generator
-) -> tuple[Policy, State]:
-    if not arguments.is_actuated:
-        return excitation(system, "free", rng)[0], random_state(system, rng)
-    centre = arguments.lqr.target_angle if arguments.drive == "lqr" else 0.0
-    reference = near_reference(rng, centre)
-    policy = probing_tracking(system, reference, rng).policy()
-    return policy, with_pole(system, *reference(0.0))
-
-
-def _in_turn(first: Policy, then: Policy, frame: int) -> Policy:
-    """`first` until `frame`, `then` from there on."""
-    return lambda number, step, state: (first if number < frame else then)(number, step, state)
+    return Plant(system, *excited(arguments, system, rng))
