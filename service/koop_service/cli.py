@@ -102,6 +102,7 @@ def running(config: ServiceConfig, session: zenoh.Session) -> Iterator[Service]:
         config.compute.device,
     )
     store = SnapshotStore(config.state_folder)
+    store.prepare()
     restored = registry.restore(store.load())
     _prepare(registry, catalogue, config.compute.batch)
     with ExitStack() as stack:
@@ -203,9 +204,12 @@ def _reach(config: ServiceConfig, stop: threading.Event) -> zenoh.Session | None
 def _greeting(service: Service) -> str:
     models = ", ".join(f"{e.name} ({' '.join(e.patterns)})" for e in service.catalogue.entries)
     where = ", ".join(service.endpoints) or "the routers it is connected to"
-    lines = [f"koop-serve is ready on {where}", f"  models: {models or 'none yet'}"]
+    lines = [
+        f"koop-serve is ready on {where}",
+        f"  models: {models or 'none yet; train one with koop-train'}",
+    ]
     if service.restored:
-        lines.append(f"  {service.restored} trajectories continue from the last run")
+        lines.append(f"  trajectories continued from the last run: {service.restored}")
     if service.metrics_port is not None:
         lines.append(f"  metrics: port {service.metrics_port}, /metrics")
     lines.append("  try: koop-sim-client --system cartpole    (Ctrl-C stops)")

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from integration.loopback import WARMUP, Loop, Source, config_for, control, loop, picture
+from integration.loopback import WARMUP, Loop, Source, config_for, control, loop, picture, slowness
 
 from koop_protocol import ErrorCode, ErrorReply, LqrQuery, LqrReply, PredictQuery, PredictReply
 from koop_service.encoding.image_codec import ImageCodec
@@ -211,5 +211,5 @@ def test_it_stops_in_time_with_a_full_queue(tmp_path: Path, model: Path) -> None
         source = Source(koop.session, "cart/0")
         for seq in range(3000):
             source.put(source.frame(seq, control_size=0))
-        started = time.monotonic()
-    assert time.monotonic() - started < 5.0  # 2 s on a quiet machine
+        before, started = slowness(), time.monotonic()
+    assert time.monotonic() - started < 2.0 * max(before, slowness())

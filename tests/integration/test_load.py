@@ -15,7 +15,7 @@ from integration.loopback import (
 
 from koop_protocol import PredictReply
 
-TRAJECTORIES, FRAMES = 20, 200
+TRAJECTORIES, FRAMES = 20, 120
 
 
 def test_a_burst_from_two_processes_loses_nothing(tmp_path: Path, model: Path) -> None:

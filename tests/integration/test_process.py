@@ -14,7 +14,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
-from integration.loopback import DEADLINE, Source, client
+from integration.loopback import DEADLINE, Source, client, slowness
 
 from koop_protocol import PredictReply, StateReply, decode
 
@@ -51,13 +51,13 @@ def options(tmp_path: Path, model: Path) -> list[object]:
 
 
 def stop(process: subprocess.Popen[str], number: int) -> str:
-    """Signal it; its whole log. It has two seconds, more only where the machine is overloaded."""
-    asked, before = time.monotonic(), time.process_time()
+    """Signal it; its whole log. It has two seconds, as this machine's present load counts them."""
+    before, asked = slowness(), time.monotonic()
     process.send_signal(number)
     _, logged = process.communicate(timeout=DEADLINE)
     took = time.monotonic() - asked
     assert process.returncode == 0, logged
-    assert took < 2.0 or time.process_time() - before < 0.1 * took, f"{took:.1f} s to stop"
+    assert took < 2.0 * max(before, slowness()), f"{took:.1f} s to stop"
     return logged
 
 
@@ -70,7 +70,7 @@ def test_it_stops_on_a_signal_and_continues_where_it_was(options: list[object]) 
         assert isinstance(first, PredictReply)
         stop(process, signal.SIGTERM)
     with serving(*options) as (process, endpoint, printed):
-        assert "1 trajectories continue" in printed
+        assert "continued from the last run: 1" in printed
         with client(endpoint) as session:
             again = ask(session, "koop/predict/cart/0?horizon=10")
             assert (again.codes == first.codes).all()
@@ -143,23 +143,10 @@ def test_metrics_are_served_on_loopback(options: list[object]) -> None:
     )
 
 
-@pytest.mark.parametrize(
-    ("options", "complaint"),
-    [
-        (("--rho", "-1"), "expected a positive number"),
-        (("--listen", "7447"), "is not a Zenoh endpoint"),
-        (("--listen", "tcp/256.0.0.1:1"), "cannot open the Zenoh session on tcp/256.0.0.1:1"),
-        (("--models", "x/*=/no/such/file"), "/no/such/file cannot be read as safetensors"),
-        (("--config", "/no/such/file"), "cannot be read as TOML"),
-        (("--no-such-option",), "Unrecognized options"),
-    ],
-)
-def test_bad_options_are_explained(
-    options: tuple[str, ...], complaint: str, tmp_path: Path
-) -> None:
-    result = run("--state-folder", tmp_path, *options)
-    assert result.returncode != 0
-    assert complaint in " ".join(result.stderr.replace("│", " ").split())
+def test_an_impossible_endpoint_is_explained(tmp_path: Path) -> None:
+    result = run("--state-folder", tmp_path, "--listen", "tcp/256.0.0.1:1")
+    assert result.returncode == 1
+    assert "cannot open the Zenoh session on tcp/256.0.0.1:1" in result.stderr
     assert "Traceback" not in result.stderr
 
 

@@ -39,7 +39,7 @@ class Arguments:
     """Time that the service watches before it drives [s]."""
     drive: float = 8.0
     """Time that it drives [s]."""
-    seed: int = 0
+    seed: int = 1
     """Seed of the simulation."""
     models: tuple[str, ...] = ()
     """Own models for the service, PATTERN=FILE each."""

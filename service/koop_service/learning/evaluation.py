@@ -28,6 +28,7 @@ STRIDE = 10  # frames between two predictions that are judged
 # What `select` chooses from.
 _FORGETTING = (0.95, 0.97, 0.985, 1.0)
 _RHO = (1e-3, 1e-2, 1e-1, 1.0)
+_TOLERANCE = 1.1
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,12 +74,21 @@ def evaluate(
 
 
 def select(trajectories: list[Encoded], defaults: EstimatorDefaults) -> EstimatorDefaults:
-    """The forgetting factor and rho with the least squared code error over all horizons."""
-    choices = [
-        dataclasses.replace(defaults, forgetting=forgetting, rho=rho)
-        for forgetting, rho in itertools.product(_FORGETTING, _RHO)
-    ]
-    return min(choices, key=lambda choice: _code_error(trajectories, choice))
+    """The forgetting factor and rho with the least code error over all horizons.
+
+    Of choices within `_TOLERANCE` of the best, the one that forgets fastest: the held-out plants
+    never change, a user's may.
+    """
+    errors = {
+        choice: _code_error(trajectories, choice)
+        for choice in (
+            dataclasses.replace(defaults, forgetting=forgetting, rho=rho)
+            for forgetting, rho in itertools.product(_FORGETTING, _RHO)
+        )
+    }
+    least = min(errors.values())
+    good = [choice for choice, error in errors.items() if error <= _TOLERANCE * least]
+    return min(good, key=lambda choice: (choice.forgetting, errors[choice]))
 
 
 def _code_error(trajectories: list[Encoded], defaults: EstimatorDefaults) -> float:

@@ -39,6 +39,8 @@ from koop_service.serving.trajectories import Trajectory
 
 log = logging.getLogger("koop.queries")
 
+_Answer = Callable[[Trajectory], bytes]
+
 _KEYS = {KeyKind.predict: predict_key, KeyKind.lqr: lqr_key, KeyKind.state: state_key}
 
 
@@ -207,9 +209,6 @@ class Desk:
             remedy="please report it",
         )
         self._refuse(question, error)
-
-
-_Answer = Callable[[Trajectory], bytes]
 
 
 def _name_in(question: Question) -> str:

@@ -44,7 +44,7 @@ def check_record(record: Mapping[str, Any], entry: ModelEntry, settings: Estimat
         ("settings", record["settings"], asdict(settings)),
     ):
         if found != wanted:
-            raise ValueError(f"its {name} is {found}, now {wanted}")
+            raise ValueError(f"it was made with another {name}: {found}, now {wanted}")
 
 
 def restored(

@@ -139,20 +139,25 @@ class Registry:
 
     def restore(self, records: Mapping[str, Mapping[str, Any]]) -> int:
         """Open the trajectories that still fit models and settings; how many."""
-        return sum(self._restore_one(name, record) for name, record in records.items())
-
-    def _restore_one(self, name: str, record: Mapping[str, Any]) -> bool:
-        try:
-            entry = self._entry_for(name)
-            settings = settings_for(entry, self._choices, int(record["settings"]["control_size"]))
-            check_record(record, entry, settings)
-            self._trajectories[name] = restored(
-                name, record, entry, self._codec(entry), self._bank(entry, settings)
+        left_out: list[str] = []
+        for name, record in records.items():
+            try:
+                self._trajectories[name] = self._restored(name, record)
+            except Exception as error:
+                left_out.append(f"{name[:200]!r}: {error}")
+        if left_out:
+            log.warning(
+                "the stored state of %d trajectories is left out, such as of %s",
+                len(left_out),
+                left_out[0],
             )
-        except Exception as error:
-            log.warning("the stored state of %r is left out: %s", name[:200], error)
-            return False
-        return True
+        return len(records) - len(left_out)
+
+    def _restored(self, name: str, record: Mapping[str, Any]) -> Trajectory:
+        entry = self._entry_for(name)
+        settings = settings_for(entry, self._choices, int(record["settings"]["control_size"]))
+        check_record(record, entry, settings)
+        return restored(name, record, entry, self._codec(entry), self._bank(entry, settings))
 
     def equipment(
         self, entry: ModelEntry, control_size: int
@@ -213,11 +218,11 @@ class Registry:
         return self._banks.setdefault((entry.name, settings.control_size), Bank(settings))
 
     def _no_model(self, name: str) -> ProtocolError:
-        names = ", ".join(self._catalogue.names()) or "none"
+        models = [f"{e.name} ({' '.join(e.patterns)})" for e in self._catalogue.entries]
         return ProtocolError(
             ErrorCode.no_model,
             f"no model for trajectory {name!r}",
-            f"a trajectory of one of the models here: {names}",
+            f"a name that one of the models is for: {', '.join(models) or 'there are none yet'}",
             "train one with 'koop-dataset ... && koop-train ...' and pass it with "
             f"--models '{name.split('/')[0]}/*=FILE'",
             {"trajectory": name},

@@ -30,6 +30,18 @@ class SnapshotStore:
         self._path = folder / _FILE
         self._digest = folder / (_FILE + ".blake2b")
 
+    def prepare(self) -> None:
+        """Make the folder. Raises OSError where it cannot be written."""
+        folder = self._path.parent
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            if not os.access(folder, os.W_OK):
+                raise PermissionError("it cannot be written")
+        except OSError as error:
+            raise OSError(
+                f"the state folder {folder} cannot be used ({error}); choose another --state-folder"
+            ) from error
+
     def load(self) -> dict[str, dict[str, Any]]:
         """All records; none where the file is missing, damaged or of another version."""
         if not self._path.exists():
@@ -43,11 +55,13 @@ class SnapshotStore:
             return {}
 
     def save(self, records: dict[str, dict[str, Any]]) -> None:
-        """Replace all records, in one transaction and one rename. Raises OSError or lmdb.Error."""
-        self._path.parent.mkdir(parents=True, exist_ok=True)
+        """Replace all records, in one transaction and one rename. Raises OSError."""
         partial = self._path.with_suffix(".partial")
         partial.unlink(missing_ok=True)
-        self._write(partial, {name: _pack(record) for name, record in records.items()})
+        try:
+            self._write(partial, {name: _pack(record) for name, record in records.items()})
+        except lmdb.Error as error:
+            raise OSError(f"the state cannot be stored in {partial}: {error}") from error
         digest = partial.with_suffix(".digest")
         digest.write_text(_digest(partial) + "\n")
         os.replace(partial, self._path)

@@ -22,6 +22,7 @@ RECORD = {
 
 def stored(folder: Path) -> SnapshotStore:
     store = SnapshotStore(folder)
+    store.prepare()
     store.save({f"cart/{i}": RECORD for i in range(300)})
     return store
 
@@ -42,6 +43,12 @@ def test_saving_replaces_everything(tmp_path: Path) -> None:
     assert store.load() == {"cart/x": {"a": 1}}
     store.save({})
     assert store.load() == {}
+
+
+def test_a_folder_that_cannot_be_made_is_explained(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("in the way")
+    with pytest.raises(OSError, match="--state-folder"):
+        SnapshotStore(tmp_path / "file" / "state").prepare()
 
 
 def test_an_empty_folder_holds_nothing(tmp_path: Path) -> None:
