@@ -25,7 +25,8 @@ class PredictQuery:
 
     Attributes:
         horizon: number of frames H.
-        controls: (H, p) float64, row i acts before predicted frame i arrives; None: the service holds the last control.
+        controls: (H, p) float64, row i acts before predicted frame i arrives; None: the service
+            holds the last control.
         returns: what to send back, of "codes", "frames" and "std".
     """
 
