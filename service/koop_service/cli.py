@@ -144,7 +144,7 @@ def _start(
 
 def _finished(question: Question, intake: Intake[Question], metrics: Metrics) -> None:
     """A question has had its last answer."""
-    intake.answered()
+    intake.answered(question.size)
     metrics.queries.labels(question.kind).observe(question.age())
 
 

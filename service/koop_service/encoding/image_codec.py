@@ -10,7 +10,8 @@ from koop_service.encoding.autoencoder import Autoencoder
 from koop_service.encoding.folding import fold
 from koop_service.encoding.weights import ModelCard
 
-_LARGEST_BATCH = 64
+# On a processor more do not fit the second-level cache, and are slower.
+_CPU_BATCH, _GPU_BATCH = 16, 1024
 
 
 class ImageCodec:
@@ -26,6 +27,7 @@ class ImageCodec:
         self.image_shape = card.image_shape
         self.renderer = card.renderer
         self._device = torch.device(device)
+        self._largest = _CPU_BATCH if self._device.type == "cpu" else _GPU_BATCH
         self._encoder, self._decoder = (part.to(self._device) for part in fold(model))
 
     def encode(self, images: np.ndarray) -> np.ndarray:
@@ -46,9 +48,9 @@ class ImageCodec:
 
     def _in_batches(self, network: nn.Module, inputs: Tensor) -> np.ndarray:
         count = len(inputs)
-        if count % _LARGEST_BATCH == 1:
+        if count % self._largest == 1:
             inputs = torch.cat([inputs, inputs[-1:]])
         inputs = inputs.contiguous(memory_format=torch.channels_last)
         with torch.inference_mode():
-            parts = [network(batch) for batch in inputs.split(_LARGEST_BATCH)]
+            parts = [network(batch) for batch in inputs.split(self._largest)]
             return torch.cat(parts)[:count].cpu().numpy()

@@ -125,7 +125,7 @@ class ComputeSettings:
     """torch device of the encoder: cpu, cuda, cuda:1."""
     threads: int = 1
     """Processor threads of the encoder. One core encodes about 4,000 frames a second."""
-    batch: int = 32
+    batch: int = 64
     """Most frames encoded at once. A query waits for the batch in work, so this trades answer time
     for throughput; on a GPU 256 and more pay."""
 

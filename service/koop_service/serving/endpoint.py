@@ -53,7 +53,7 @@ class Endpoint:
     def _asker(self, kind: KeyKind) -> Callable[[zenoh.Query], None]:
         def ask(query: zenoh.Query) -> None:
             question = ZenohQuestion(kind, query, self._max_bytes)
-            if not self._intake.ask(question):
+            if not self._intake.ask(question, question.size):
                 self._metrics.refused.labels(str(ErrorCode.overloaded)).inc()
                 question.refuse(error_bytes(_overloaded()))
                 question.close()

@@ -11,7 +11,7 @@ from __future__ import annotations
 import threading
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Generic, TypeVar
 
 from koop_protocol import ProtocolError
@@ -73,6 +73,7 @@ class Intake(Generic[Q]):
         self._lanes: dict[str, deque[Arrival]] = {}
         self._queries: deque[Waiting[Q]] = deque()
         self._unanswered = 0
+        self._query_bytes = 0
         self._messages = 0
         self._bytes = 0
         self._tickets = 0
@@ -100,20 +101,23 @@ class Intake(Generic[Q]):
             self._work.notify()
         return True
 
-    def ask(self, query: Q) -> bool:
-        """Add a query; False if there are too many already."""
+    def ask(self, query: Q, size: int = 0) -> bool:
+        """Add a query of `size` bytes; False if there are too many already, or too large ones."""
         with self._lock:
-            if self._closed or self._unanswered >= self._max_queries:
+            too_many = self._unanswered >= self._max_queries
+            if self._closed or too_many or self._query_bytes + size > self._max_bytes:
                 return False
             self._unanswered += 1
+            self._query_bytes += size
             self._queries.append(Waiting(query, self._next_ticket()))
             self._work.notify()
         return True
 
-    def answered(self) -> None:
-        """Make room for another query."""
+    def answered(self, size: int = 0) -> None:
+        """Make room for another query, after one of `size` bytes."""
         with self._lock:
             self._unanswered -= 1
+            self._query_bytes -= size
 
     def wait(self, timeout: float) -> None:
         """Until something is there, the queues are closed, or `timeout` [s] has passed."""
@@ -136,9 +140,10 @@ class Intake(Generic[Q]):
         with self._lock:
             batch: list[Arrival] = []
             while len(batch) < count and self._oldest_of(lane) < before:
-                batch.append(self._remove(lane))
-            for arrival in batch:
-                arrival.taken = True
+                arrival = self._remove(lane)
+                batch.append(replace(arrival))
+                # Its place in the order stays until its turn; its bytes do not.
+                arrival.taken, arrival.data = True, b""
             self._space.notify_all()
             return batch
 

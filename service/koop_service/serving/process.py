@@ -10,9 +10,11 @@ _ARENAS = 1
 
 
 def limit_arenas() -> None:
-    """Have glibc's malloc use two arenas.
+    """Have glibc's malloc use a single arena.
 
-    It would keep one for each of Zenoh's threads, and the service would grow for hours.
+    It would keep one for each of Zenoh's threads, and place the encoder's large buffers where they
+    fragment: tens of megabytes more, and growth for hours. The pipeline is the one thread that
+    allocates much, so that nobody waits for the arena's lock.
     """
     if sys.platform == "linux":
         mallopt = getattr(ctypes.CDLL(None), "mallopt", None)  # musl has none

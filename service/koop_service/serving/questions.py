@@ -19,6 +19,11 @@ class Question(Protocol):
     parameters: dict[str, str]
     payload: bytes | None
 
+    @property
+    def size(self) -> int:
+        """Bytes that it holds."""
+        ...
+
     def age(self) -> float:
         """Time since it came [s]."""
         ...
@@ -51,6 +56,10 @@ class ZenohQuestion:
         self.payload = _payload(query, max_bytes)
         self._query = query
 
+    @property
+    def size(self) -> int:
+        return len(self.payload or b"")
+
     def age(self) -> float:
         return time.monotonic() - self._arrived
 
@@ -73,8 +82,11 @@ def is_wildcard(question: Question) -> bool:
 
 
 def error_bytes(error: ProtocolError) -> bytes:
-    """The error as it travels."""
-    return encode(ErrorReply.from_error(error))
+    """The error as it travels; in short where it is itself too much for a message."""
+    try:
+        return encode(ErrorReply.from_error(error))
+    except ProtocolError:
+        return encode(ErrorReply(str(error.code)[:60], error.problem[:200]))
 
 
 def _payload(query: zenoh.Query, max_bytes: int) -> bytes | None:

@@ -215,7 +215,10 @@ class Registry:
         return self._codecs[entry.name]
 
     def _bank(self, entry: ModelEntry, settings: EstimatorSettings) -> Bank:
-        return self._banks.setdefault((entry.name, settings.control_size), Bank(settings))
+        key = (entry.name, settings.control_size)
+        if key not in self._banks:
+            self._banks[key] = Bank(settings)
+        return self._banks[key]
 
     def _no_model(self, name: str) -> ProtocolError:
         models = [f"{e.name} ({' '.join(e.patterns)})" for e in self._catalogue.entries]

@@ -107,6 +107,13 @@ def test_too_many_questions_are_turned_away_until_one_is_answered() -> None:
     assert queue.ask("x")
 
 
+def test_too_large_questions_are_turned_away() -> None:
+    queue = intake(size=100)
+    assert [queue.ask("x", 60), queue.ask("y", 60), queue.ask("z", 40)] == [True, False, True]
+    queue.answered(60)
+    assert queue.ask("y", 60)
+
+
 def test_closing_lets_a_held_source_go() -> None:
     queue, results = intake(messages=1), []
     queue.put(key("a"), b"x")

@@ -16,6 +16,8 @@ class Caller:
     def __init__(self, gate: threading.Event | None = None, gone: bool = False) -> None:
         self.got, self._gate, self._gone = [], gate, gone
 
+    size = 0
+
     def age(self) -> float:
         return 0.0
 
