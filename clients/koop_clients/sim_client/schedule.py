@@ -9,6 +9,7 @@ service knows the region in which it will act.
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 
@@ -29,8 +30,8 @@ from koop_clients.mechanics.simulation import (
 from koop_clients.mechanics.systems import System
 from koop_clients.sim_client.arguments import Arguments
 
-_APPROACH = 5.0  # s before lqr takes over, or all the time there is
-_LIFT = 2.0  # s of it
+_LONGEST_APPROACH = 5.0  # s before lqr takes over; half of the time where that is less
+_LIFT = 0.4  # share of it
 
 
 def takeover_frame(arguments: Arguments) -> float:
@@ -40,7 +41,12 @@ def takeover_frame(arguments: Arguments) -> float:
 
 def approach_frame(arguments: Arguments) -> float:
     """Number of the frame at which the pole's way to the start begins; infinite without lqr."""
-    return max(0.0, takeover_frame(arguments) - round(_APPROACH / FRAME_INTERVAL))
+    return takeover_frame(arguments) - round(_approach(arguments) / FRAME_INTERVAL)
+
+
+def _approach(arguments: Arguments) -> float:
+    """How long the way to the start and the probing there take [s]."""
+    return min(_LONGEST_APPROACH, arguments.lqr.learn / 2)
 
 
 def excited(arguments: Arguments, system: System, rng: np.random.Generator) -> tuple[Policy, State]:
@@ -53,8 +59,11 @@ def excited(arguments: Arguments, system: System, rng: np.random.Generator) -> t
     state = with_pole(system, *reference(0.0))
     if arguments.drive == "lqr":
         begin = approach_frame(arguments)
-        lift = Lift(hanging, arguments.lqr.start_angle, begin * FRAME_INTERVAL, _LIFT)
-        policy = _in_turn(policy, probing_tracking(system, lift, rng).policy(), begin)
+        duration = max(FRAME_INTERVAL, _LIFT * _approach(arguments))
+        lift = Lift(hanging, arguments.lqr.start_angle, begin * FRAME_INTERVAL, duration)
+        # Held for each frame, as the service's torques will be.
+        probing = replace(probing_tracking(system, lift, rng), hold_frame=True)
+        policy = _in_turn(policy, probing.policy(), begin)
     return policy, state
 
 

@@ -17,10 +17,10 @@ class Preset:
     clipped.
     """
 
-    warmup_steps: int = 4500
+    warmup_steps: int = 4000
     warmup_batch: int = 128
     warmup_rate: float = 3e-3
-    steps: int = 5000
+    steps: int = 4000
     windows: int = 4
     length: int = 112
     fit_frames: tuple[int, int] = (40, 88)

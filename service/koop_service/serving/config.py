@@ -143,7 +143,7 @@ class LimitSettings:
     queue_messages: int = 2048
     """Measurements waiting at once; then the sources are held back, nothing is dropped."""
     queue_bytes: int = 64 << 20
-    """Bytes of measurements waiting at once; then the sources are held back."""
+    """Bytes of measurements waiting at once, and of queries; then the sources are held back."""
     queue_queries: int = 256
     """Queries waiting at once; further ones are answered 'overloaded'."""
     max_message_bytes: int = 4 << 20
