@@ -144,10 +144,12 @@ def probing_tracking(
     return Tracking(system, reference, _PAPER_GAINS, _sample_multisine(rng, _PROBING_TORQUE))
 
 
-def soft_tracking(system: System, reference: Reference, rng: np.random.Generator) -> Tracking:
-    """The `soft` regime around a reference of the caller's."""
+def soft_tracking(
+    system: System, reference: Reference, rng: np.random.Generator, share: float = 1.0
+) -> Tracking:
+    """The `soft` regime around a reference of the caller's, with a share of its extra torque."""
     proportional, derivative, spread = _SOFT_GAINS[system.name]
-    extra = _sample_multisine(rng, spread)
+    extra = _sample_multisine(rng, share * spread)
     return Tracking(system, reference, (proportional, derivative), extra, hold_frame=True)
 
 

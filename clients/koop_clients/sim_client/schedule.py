@@ -30,6 +30,7 @@ from koop_clients.mechanics.simulation import (
 from koop_clients.mechanics.systems import System
 from koop_clients.sim_client.arguments import Arguments
 
+_GENTLE = 0.5  # share of the random torque that training sees
 _LONGEST_APPROACH = 5.0  # s before lqr takes over; half of the time where that is less
 _LIFT = 0.4  # share of it
 
@@ -55,7 +56,7 @@ def excited(arguments: Arguments, system: System, rng: np.random.Generator) -> t
         return excitation(system, "free", rng)[0], random_state(system, rng)
     hanging = math.copysign(math.pi, arguments.lqr.start_angle)
     reference = near_reference(rng, hanging)
-    policy = soft_tracking(system, reference, rng).policy()
+    policy = soft_tracking(system, reference, rng, _GENTLE).policy()
     state = with_pole(system, *reference(0.0))
     if arguments.drive == "lqr":
         begin = approach_frame(arguments)
