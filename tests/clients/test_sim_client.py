@@ -89,7 +89,7 @@ def test_a_good_plan_reaches_the_target(
 ) -> None:
     options = ("--system", "cartpole", "--drive", "lqr", "--learn", "5", "--duration", "10")
     service = knowing(*options)
-    strip, record = tmp_path / "strip.png", tmp_path / "run.npz"
+    strip, record = tmp_path / "new" / "strip.png", tmp_path / "run.npz"
     out, err = command(*options, "--strip", str(strip), "--record", str(record))
     assert "drive: reached and held the target" in out
     assert "to target" in err

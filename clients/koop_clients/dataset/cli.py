@@ -77,6 +77,7 @@ def write(arguments: Arguments) -> None:
     if arguments.trajectories < 1 or arguments.frames < 0:
         raise ValueError("--trajectories must be at least 1 and --frames not negative")
     recipe = _recipe(arguments)
+    arguments.out.parent.mkdir(parents=True, exist_ok=True)
     partial = arguments.out.with_name(arguments.out.name + ".partial")
     with h5py.File(partial, "w") as file:
         _fill(file, recipe, arguments)

@@ -102,6 +102,8 @@ def _plan(arguments: Arguments) -> str:
 
 
 def _save(live: LiveRun, arguments: Arguments, display: Display) -> None:
+    for path in filter(None, (arguments.output.record, arguments.output.strip)):
+        path.parent.mkdir(parents=True, exist_ok=True)
     if arguments.output.record is not None:
         live.record().save(arguments.output.record)
         display.say(f"saved {arguments.output.record}")

@@ -63,6 +63,7 @@ def run(arguments: Arguments) -> None:
         raise ValueError(f"unknown preset {arguments.preset!r}; there are {', '.join(PRESETS)}")
     if arguments.threads:
         torch.set_num_threads(arguments.threads)
+    arguments.out.parent.mkdir(parents=True, exist_ok=True)
     preset = PRESETS[arguments.preset]
     if arguments.steps:
         preset = dataclasses.replace(preset, steps=arguments.steps)
