@@ -86,7 +86,8 @@ class KoopClient:
         Args:
             trajectory: its name.
             horizon: how many frames H.
-            controls: (H, p), row i acts before predicted frame i arrives; None is zero.
+            controls: (H, p), row i acts before predicted frame i arrives; None: the last control is
+                held.
             returns: what to send back, of "codes", "frames" and "std".
             timeout: how long to wait [s]; None is the client's own.
         """
@@ -100,7 +101,7 @@ class KoopClient:
         *,
         timeout: float | None = None,
     ) -> dict[str, PredictReply]:
-        """Predictions, under zero control, of every trajectory that can be predicted, by name.
+        """Predictions, each under its last control held, of all trajectories that are ready, by name.
 
         Raises KoopError when there is none, with the first refusal where there was one.
         """
