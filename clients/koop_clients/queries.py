@@ -101,7 +101,7 @@ class KoopClient:
         *,
         timeout: float | None = None,
     ) -> dict[str, PredictReply]:
-        """Predictions, each under its last control held, of all trajectories that are ready, by name.
+        """Predictions of all trajectories that are ready, by name; the last controls are held.
 
         Raises KoopError when there is none, with the first refusal where there was one.
         """
