@@ -63,11 +63,3 @@ class Catalogue:
     def match(self, trajectory: str) -> ModelEntry | None:
         """The model for `trajectory`, or None."""
         return next((entry for entry in self.entries if entry.matches(trajectory)), None)
-
-    def find(self, name: str) -> ModelEntry | None:
-        """The model called `name`, or None."""
-        return next((entry for entry in self.entries if entry.name == name), None)
-
-    def names(self) -> list[str]:
-        """Names of all models, in order of preference."""
-        return [entry.name for entry in self.entries]

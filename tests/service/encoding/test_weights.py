@@ -84,7 +84,7 @@ def test_the_users_models_come_before_the_bundled(saved):
     assert catalogue.match("cartpole/0") is mine
     assert catalogue.match("line3/robot7") is mine
     assert catalogue.match("unheard/of") is None
-    assert catalogue.names()[0] == "mine"
+    assert catalogue.entries[0] is mine
 
 
 def test_fingerprints_tell_weights_apart(saved, tmp_path):
