@@ -20,7 +20,7 @@ import torch
 import zenoh
 
 from koop_protocol import Limits
-from koop_service.encoding.catalogue import Catalogue, ModelEntry
+from koop_service.encoding.catalogue import Catalogue, ModelEntry, bundled_or_own
 from koop_service.serving import logs
 from koop_service.serving.config import ServiceConfig
 from koop_service.serving.desk import Desk
@@ -172,7 +172,9 @@ def _serve_metrics(config: ServiceConfig, metrics: Metrics, stack: ExitStack) ->
 
 def _catalogue(config: ServiceConfig) -> Catalogue:
     """The user's models before the bundled ones. Raises ValueError for a file that is no model."""
-    own = [ModelEntry(r.name or r.path.stem, r.path, r.patterns) for r in config.models]
+    own = [
+        ModelEntry(r.name or r.path.stem, bundled_or_own(r.path), r.patterns) for r in config.models
+    ]
     catalogue = Catalogue.bundled().preferring(own)
     for entry in catalogue.entries:
         settings_for(entry, config.estimator, 0)

@@ -147,7 +147,7 @@ class Arguments:
     """
 
     system: Literal["pendulum", "double-pendulum", "cartpole"]
-    """Which plant. It streams under the name SYSTEM/0 (and SYSTEM/1, ...)."""
+    """Which plant. It streams as SYSTEM/0 (and SYSTEM/1, ...), or SYSTEM-actuated/0."""
     actuated: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
     """The pole has a motor, which excites it; its torque is streamed as the control."""
     drive: Literal["none", "excite", "lqr"] = "none"
@@ -192,6 +192,11 @@ class Arguments:
     def is_actuated(self) -> bool:
         """Whether torques act and are streamed."""
         return self.actuated or self.drive != "none"
+
+    def trajectory(self, index: int) -> str:
+        """The name that plant `index` streams under; the service picks its model by it."""
+        kind = f"{self.system}-actuated" if self.is_actuated else self.system
+        return f"{kind}/{self.first + index}"
 
     @property
     def speed(self) -> float:

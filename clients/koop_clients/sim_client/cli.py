@@ -64,7 +64,7 @@ def _connect(arguments: Arguments, display: Display) -> zenoh.Session:
         display.say(f"{error}; waiting {wait:g} s for it")
         session = open_session(connect, config_file=config_file, wait=wait)
     try:
-        _await_answer(KoopClient(session), f"{arguments.system}/{arguments.first}", wait)
+        _await_answer(KoopClient(session), arguments.trajectory(0), wait)
     except BaseException:
         session.close()
         raise
@@ -90,8 +90,9 @@ def _await_answer(client: KoopClient, trajectory: str, wait: float) -> None:
 
 def _plan(arguments: Arguments) -> str:
     """What is going to happen, in words."""
-    first, count = arguments.first, arguments.trajectories
-    names = f"{arguments.system}/{first}" + (f" to {first + count - 1}" if count > 1 else "")
+    count = arguments.trajectories
+    last = f" to {arguments.first + count - 1}" if count > 1 else ""
+    names = arguments.trajectory(0) + last
     until = f"for {arguments.duration:g} s" if arguments.duration else "until Ctrl-C"
     what = "swinging freely"
     if arguments.is_actuated:

@@ -48,7 +48,7 @@ def open_streams(arguments: Arguments, system: System, session: zenoh.Session) -
             _plant(arguments, system, index),
             FrameSource(
                 session,
-                f"{system.name}/{arguments.first + index}",
+                arguments.trajectory(index),
                 control_size=int(arguments.is_actuated),
                 renderer=RENDERER,
             ),

@@ -9,10 +9,10 @@ from importlib import resources
 from pathlib import Path
 
 from koop_service.encoding.image_codec import ImageCodec
-from koop_service.encoding.weights import ModelCard, fingerprint, load_card, load_weights
+from koop_service.encoding.weights import FITTED, ModelCard, fingerprint, load_card, load_weights
 
-# Names of the trajectories that koop-sim-client streams, by the system of the bundled model.
-_BUNDLED_PATTERNS = {"cartpole-actuated": ("cartpole/*",)}
+# A bundled model is for the trajectories under its own name, and some for others besides.
+_FURTHER_PATTERNS = {"pendulum-low": ("pendulum/*",)}
 
 
 @dataclass(frozen=True)
@@ -25,8 +25,14 @@ class ModelEntry:
 
     @cached_property
     def card(self) -> ModelCard:
-        """The model card. Raises ValueError for a file that is not a koop model."""
-        return load_card(self.path)
+        """The model card. Raises ValueError for a file that is no koop model, or a baseline."""
+        card = load_card(self.path)
+        if card.dynamics != FITTED:
+            raise ValueError(
+                f"{self.path} is a baseline with {card.dynamics} dynamics; the service fits the "
+                "dynamics to each trajectory: serve a model trained with --dynamics fitted"
+            )
+        return card
 
     @cached_property
     def fingerprint(self) -> str:
@@ -52,9 +58,8 @@ class Catalogue:
     @classmethod
     def bundled(cls) -> Catalogue:
         """The models in the package."""
-        folder = Path(str(resources.files("koop_service"))) / "weights"
-        paths = sorted(folder.glob("*.safetensors"))
-        return cls([ModelEntry(p.stem, p, _BUNDLED_PATTERNS.get(p.stem, ())) for p in paths])
+        paths = sorted(bundled_folder().glob("*.safetensors"))
+        return cls([ModelEntry(p.stem, p, _bundled_patterns(p.stem)) for p in paths])
 
     def preferring(self, entries: list[ModelEntry]) -> Catalogue:
         """A catalogue that looks at `entries` first."""
@@ -63,3 +68,18 @@ class Catalogue:
     def match(self, trajectory: str) -> ModelEntry | None:
         """The model for `trajectory`, or None."""
         return next((entry for entry in self.entries if entry.matches(trajectory)), None)
+
+
+def bundled_folder() -> Path:
+    """Where the package's own weights are."""
+    return Path(str(resources.files("koop_service"))) / "weights"
+
+
+def bundled_or_own(path: Path) -> Path:
+    """`path`, or the bundled weights where it is the name of a bundled model and no file."""
+    bundled = bundled_folder() / f"{path}.safetensors"
+    return bundled if bundled.exists() and not path.exists() else path
+
+
+def _bundled_patterns(name: str) -> tuple[str, ...]:
+    return (f"{name}/*", *_FURTHER_PATTERNS.get(name, ()))

@@ -11,11 +11,16 @@ from pathlib import Path
 import torch
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import save_file
+from torch import Tensor
 
 from koop_service.encoding.autoencoder import IMAGE_SIZE, Autoencoder
 from koop_service.estimation.settings import EstimatorSettings
 
 FORMAT = "koop-autoencoder-1"
+FITTED = "fitted"
+"""`ModelCard.dynamics` of a model whose dynamics are fitted to each trajectory as it streams."""
+DYNAMICS_TENSOR = "dynamics.matrix"
+"""The learned part of any other model's dynamics; `koop_service.learning.dynamics` reads it."""
 
 
 @dataclass(frozen=True)
@@ -45,6 +50,7 @@ class ModelCard:
 
     `renderer` drew the training frames ("" for a real camera); `dt` is the frame interval [s];
     `training` records data, preset, seed and command; `figures` what was measured on unseen data.
+    `dynamics` is FITTED, or the baseline that was learned in its place.
     """
 
     system: str
@@ -55,13 +61,20 @@ class ModelCard:
     estimator: EstimatorDefaults = field(default_factory=EstimatorDefaults)
     training: Mapping[str, object] = field(default_factory=dict)
     figures: Mapping[str, object] = field(default_factory=dict)
+    dynamics: str = FITTED
 
 
-def save_weights(path: Path, model: Autoencoder, card: ModelCard) -> None:
-    """Write weights and card to `path`, atomically."""
+def save_weights(
+    path: Path, model: Autoencoder, card: ModelCard, dynamics: Tensor | None = None
+) -> None:
+    """Write weights and card to `path`, atomically; `dynamics` is what a baseline learned."""
+    if (dynamics is None) != (card.dynamics == FITTED):
+        raise ValueError(f"dynamics {card.dynamics!r} and the learned matrix do not go together")
     metadata = {"format": FORMAT, "card": json.dumps(asdict(card))}
     partial = path.with_name(path.name + ".partial")
-    tensors = {name: t.detach().cpu().contiguous() for name, t in model.state_dict().items()}
+    learned = {} if dynamics is None else {DYNAMICS_TENSOR: dynamics}
+    tensors = {**model.state_dict(), **learned}
+    tensors = {name: t.detach().cpu().contiguous() for name, t in tensors.items()}
     save_file(tensors, partial, metadata)
     partial.replace(path)
 
@@ -82,6 +95,7 @@ def load_weights(path: Path) -> tuple[Autoencoder, ModelCard]:
     try:
         with safe_open(path, "pt") as file:
             tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
+        tensors.pop(DYNAMICS_TENSOR, None)
         model.load_state_dict(tensors)
     except (SafetensorError, RuntimeError) as error:
         raise ValueError(

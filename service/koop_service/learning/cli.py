@@ -3,25 +3,34 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 import shlex
 import sys
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal, cast
 
 import torch
 import tyro
 
 from koop_service.encoding.autoencoder import Autoencoder
 from koop_service.encoding.image_codec import ImageCodec
-from koop_service.encoding.weights import EstimatorDefaults, ModelCard, load_weights, save_weights
-from koop_service.learning.presets import PRESETS, Preset
+from koop_service.encoding.weights import (
+    FITTED,
+    EstimatorDefaults,
+    ModelCard,
+    fingerprint,
+    load_weights,
+    save_weights,
+)
 
 try:
+    from koop_service.learning import hardware
     from koop_service.learning.evaluation import encode_all, evaluate, select
+    from koop_service.learning.parallel import joined
+    from koop_service.learning.presets import PRESETS, Preset, with_regime
     from koop_service.learning.recording import Recording, load_recording
-    from koop_service.learning.train import train
+    from koop_service.learning.session import Files, InterruptedTrainingError, Session, say
+    from koop_service.learning.train import Setting, Training, begin
 except ModuleNotFoundError as error:
     sys.exit(f"koop-train needs {error.name}: pip install 'koop[train]'")
 
@@ -33,19 +42,35 @@ class Arguments:
     """Train an autoencoder on a recording, so that its codes evolve linearly."""
 
     recording: tyro.conf.Positional[Path]
-    """An HDF5 recording (koop-dataset writes one)."""
+    """An HDF5 recording (koop-dataset and koop-record write one)."""
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
     """The weights to write (safetensors)."""
-    preset: str = "cpu"
-    """Schedule: cpu (about an hour on 2 cores) or smoke (seconds, to see that all is well)."""
+    preset: Literal["cpu", "paper", "smoke"] = "cpu"
+    """Schedule: cpu (a quarter of an hour on 2 cores), paper (a GPU's) or smoke (seconds)."""
+    dynamics: Literal["fitted", "learned-A", "learned-B"] = "fitted"
+    """fitted to each trajectory (ours), or learned for all: the baselines [17] (A) and [6] (B)."""
+    regime: Literal["offline", "partial", "full"] | None = None
+    """Updates of the fit inside the training roll-out; without it, the preset's roll-out."""
     seed: int = 0
     """Seed; the same seed, machine and thread count give the same weights."""
     start_from: Path | None = None
-    """Weights to go on from, instead of warming up a fresh autoencoder."""
-    steps: int = 0
-    """Steps of the second stage; 0 takes the preset's."""
+    """Weights to go on from; the autoencoder is trained alone only if --warm-up says so."""
+    code_size: int | None = None
+    """Numbers in a code (n_z), 8 in the presets."""
+    warm_up: int | None = None
+    """Steps of the first stage, the autoencoder alone, instead of the preset's."""
+    steps: int | None = None
+    """Steps of the second stage, with the dynamics, instead of the preset's."""
+    device: Literal["auto", "cpu", "cuda"] = "auto"
+    """Where to compute; auto takes a GPU if there is one."""
+    precision: Literal["auto", "float32", "bfloat16"] = "auto"
+    """The network's arithmetic; auto is bfloat16 on a GPU, float32 elsewhere."""
     threads: int = 0
     """Threads; 0 lets torch choose."""
+    checkpoint_seconds: float = 120.0
+    """Time between two checkpoints, each with an early look (a strip of predictions) [s]."""
+    fresh: bool = False
+    """Start over, also where a checkpoint of an unfinished training with this --out is found."""
 
 
 def main() -> None:
@@ -53,37 +78,135 @@ def main() -> None:
     arguments = tyro.cli(Arguments, prog="koop-train")
     try:
         run(arguments)
+    except InterruptedTrainingError as stopped:
+        say(str(stopped))
+        sys.exit(128 + stopped.number)
     except (OSError, ValueError) as error:
         sys.exit(f"koop-train: {error}")
 
 
 def run(arguments: Arguments) -> None:
-    """Load, train, judge on held-out trajectories, and write the weights (also on the way)."""
-    if arguments.preset not in PRESETS:
-        raise ValueError(f"unknown preset {arguments.preset!r}; there are {', '.join(PRESETS)}")
+    """Load, train, judge on held-out trajectories, and write the weights."""
     if arguments.threads:
         torch.set_num_threads(arguments.threads)
-    arguments.out.parent.mkdir(parents=True, exist_ok=True)
-    preset = PRESETS[arguments.preset]
-    if arguments.steps:
-        preset = dataclasses.replace(preset, steps=arguments.steps)
+    _check_writable(arguments.out)
     recording = load_recording(arguments.recording)
-    if recording.frames.shape[1] < preset.length:
-        raise ValueError(
-            f"{arguments.recording} has trajectories of {recording.frames.shape[1]} frames; "
-            f"preset {arguments.preset} needs at least {preset.length}"
-        )
     seen, unseen = recording.split(HELD_OUT)
-    card = model_card(recording, preset, arguments)
-
-    def keep(model: Autoencoder) -> None:
-        save_weights(arguments.out, model, card)
-
     warm = _start(arguments.start_from, recording) if arguments.start_from else None
-    model = train(seen, preset, arguments.seed, keep, warm)
-    card = judged(ImageCodec(model, card), unseen)
-    save_weights(arguments.out, model, card)
-    print(f"wrote {arguments.out}\n{json.dumps(card.figures, indent=2)}")
+    preset = chosen_preset(arguments, warm).on(seen)
+    _check_recording(arguments, recording, preset)
+    with joined(arguments.device) as (group, local_rank):
+        machine = hardware.choose(arguments.device, arguments.precision, local_rank)
+        setting = Setting(seen, preset, arguments.seed, machine, group, say)
+        training = begin(setting, arguments.dynamics, warm)
+        identity = begun_with(arguments, setting)
+        files, every = Files(arguments.out), arguments.checkpoint_seconds
+        session = Session(training, setting, files, identity, unseen, every)
+        session.resume(arguments.fresh)
+        session.run()
+    if group.leads:
+        finish(session, model_card(recording, preset, arguments))
+
+
+def finish(session: Session, card: ModelCard) -> None:
+    """Judge the trained model, write it, and drop the checkpoint."""
+    training, files = session.training, session.files
+    training.model.to("cpu")
+    training.dynamics.to("cpu")
+    view = session.look(len(session.unseen.frames))
+    if card.dynamics == FITTED:
+        card = judged(ImageCodec(training.model, card), session.unseen)
+    card = dataclasses.replace(card, figures={**card.figures, **view.errors()})
+    save_weights(files.out, training.model, card, training.dynamics.matrix)
+    files.checkpoint.unlink(missing_ok=True)
+    print(f"wrote {files.out}, {files.log.name}, {files.strip.name}: {summary(card, training)}")
+
+
+def summary(card: ModelCard, training: Training) -> str:
+    """The figures that matter, in one line."""
+    offline = cast("dict[int, float]", card.figures["offline"])
+    repeated = cast("dict[int, float]", card.figures["offline_repeat_last"])
+    steps = ", ".join(f"{k}: {offline[k]:.4f} ({offline[k] / repeated[k]:.2f})" for k in offline)
+    rate = training.frames / max(training.seconds, 1e-9)
+    return (
+        f"RMSE by frames after the fit, never updated (over repeating the last frame) {steps}; "
+        f"{training.seconds / 60:.1f} minutes, {rate:,.0f} frames/s"
+    )
+
+
+def begun_with(arguments: Arguments, setting: Setting) -> dict[str, object]:
+    """All that decides what the weights become, except the number of threads."""
+    preset = dataclasses.asdict(setting.preset)
+    stages = {
+        f"{name}.{key}": value
+        for name, part in preset.items()
+        if isinstance(part, dict)
+        for key, value in part.items()
+    }
+    start = arguments.start_from
+    return {
+        **{name: value for name, value in preset.items() if not isinstance(value, dict)},
+        **stages,
+        "recording": fingerprint(arguments.recording),
+        "start from": fingerprint(start) if start else None,
+        "dynamics of": arguments.dynamics,
+        "seed": arguments.seed,
+        "device": setting.hardware.device.type,
+        "precision": str(setting.hardware.precision),
+        "processes": setting.group.size,
+    }
+
+
+def chosen_preset(arguments: Arguments, warm: Autoencoder | None) -> Preset:
+    """The preset with what the arguments change in it."""
+    preset = PRESETS[arguments.preset]
+    if arguments.regime:
+        preset = with_regime(preset, arguments.regime)
+    warm_up = arguments.warm_up if warm is None else arguments.warm_up or 0
+    if warm_up is not None:
+        stage = dataclasses.replace(preset.autoencoder, steps=warm_up, epochs=0)
+        preset = dataclasses.replace(preset, autoencoder=stage)
+    if arguments.steps is not None:
+        stage = dataclasses.replace(preset.dynamics, steps=arguments.steps, epochs=0)
+        preset = dataclasses.replace(preset, dynamics=stage)
+    size = preset.code_size if warm is None else warm.code_size
+    if warm is not None and arguments.code_size not in (None, size):
+        raise ValueError(
+            f"{arguments.start_from} has codes of size {size}, not --code-size "
+            f"{arguments.code_size}; leave --code-size away, or train without --start-from"
+        )
+    return dataclasses.replace(preset, code_size=arguments.code_size or size)
+
+
+def _check_recording(arguments: Arguments, recording: Recording, preset: Preset) -> None:
+    """Raise ValueError where the recording does not fit the preset."""
+    count, length = recording.frames.shape[:2]
+    roll = preset.roll_out(recording.controls.shape[2])
+    if length < roll.longest:
+        raise ValueError(
+            f"{arguments.recording} has trajectories of {length} frames; preset "
+            f"{arguments.preset} fits up to {roll.fit_frames[1]} of them and needs "
+            f"{roll.after(roll.horizon)} more, so at least {roll.longest}; record longer ones"
+        )
+    some = recording.frames[:: max(1, count // 64), ::10]
+    if some.min() == some.max():
+        raise ValueError(
+            f"{arguments.recording} shows nothing: every pixel of every frame is "
+            f"{int(some.max())}; look at its frames, and record it again"
+        )
+
+
+def _check_writable(out: Path) -> None:
+    """Raise ValueError where `out` cannot be written: before hours of training, not after."""
+    probe = out.with_name(out.name + ".partial")
+    try:
+        out.parent.mkdir(parents=True, exist_ok=True)
+        probe.touch()
+        probe.unlink()
+    except OSError as error:
+        raise ValueError(f"cannot write {out}: {error}; choose another --out") from error
+    if out.is_dir():
+        raise ValueError(f"{out} is a folder; --out names the weights file to write")
 
 
 def _start(path: Path, recording: Recording) -> Autoencoder:
@@ -106,21 +229,23 @@ def judged(codec: ImageCodec, unseen: Recording) -> ModelCard:
 
 def model_card(recording: Recording, preset: Preset, arguments: Arguments) -> ModelCard:
     """Data, preset, seed and command of this training run."""
+    roll = preset.roll_out(recording.controls.shape[2])
     return ModelCard(
         system=recording.system,
         renderer=recording.renderer,
         dt=recording.dt,
         code_size=preset.code_size,
-        estimator=EstimatorDefaults(history=preset.history, rho=preset.rho),
+        estimator=EstimatorDefaults(history=preset.history, rho=roll.rho),
         training={
             "trajectories": recording.frames.shape[0],
             "frames": recording.frames.shape[1],
             "data_seed": recording.seed,
             "seed": arguments.seed,
-            "preset": dataclasses.asdict(preset),
+            "preset": {"name": arguments.preset, **dataclasses.asdict(preset)},
             "command": "koop-train " + shlex.join(sys.argv[1:]),
             "torch": torch.__version__,
         },
+        dynamics=arguments.dynamics,
     )
 
 

@@ -34,14 +34,16 @@ def proximal_solve(W: Tensor, Y: Tensor, rho: float, refinements: int) -> Tensor
 def roll_out(theta: Tensor, history: Tensor, controls: Tensor) -> Tensor:
     """Codes (B, S, K, n) from S restarts a trajectory.
 
-    theta (B, n, d); history (B, S, h, n), oldest first; controls (B, S, K, p).
+    theta (B, S, n, d), or (B, 1, n, d) for all restarts; history (B, S, h, n), oldest first;
+    controls (B, S, K, p).
     """
     transposed = theta.to(history.dtype).mT
     recent = list(history.unbind(2))
     constant = torch.ones_like(history[:, :, 0, :1])
     codes = []
     for control in controls.unbind(2):
-        recent.append(torch.cat([*recent, control, constant], dim=2) @ transposed)
+        regressor = torch.cat([*recent, control, constant], dim=2)
+        recent.append((regressor[:, :, None] @ transposed)[:, :, 0])
         codes.append(recent[-1])
         del recent[0]
     return torch.stack(codes, dim=2)

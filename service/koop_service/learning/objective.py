@@ -1,9 +1,9 @@
-"""The training loss: eq. 12 and 17 with restarts (the paper's partial updates).
+"""The training losses: eq. 12 and 17 in the paper's regimes, and with restarts.
 
-Long open-loop roll-outs of a plant that is unstable without its controller explode. So the model is
-fitted on a window's first frames and rolled out over short segments from many measured restarts,
-inside the fitted part and after it. A robust consistency term in code space reaches every predicted
-step; a random part of them is decoded.
+The model is fitted on a window's first frames and rolled out from its end, or from several measured
+histories: long open-loop roll-outs of a plant that is unstable without its controller explode. A
+robust consistency term in code space reaches every predicted step; a random part of them is
+decoded.
 """
 
 from __future__ import annotations
@@ -12,99 +12,175 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
 from koop_service.encoding.autoencoder import Autoencoder
-from koop_service.learning.fit import proximal_solve, regressors, roll_out
-from koop_service.learning.presets import Preset
-
-
-@dataclass(frozen=True, eq=False)
-class Batch:
-    """Windows: images (B, T, 64, 64) in [0, 1] and controls (B, T-1, p), both float32."""
-
-    images: Tensor
-    controls: Tensor
+from koop_service.learning.dynamics import Dynamics
+from koop_service.learning.fit import regressors, roll_out
+from koop_service.learning.hardware import Hardware
+from koop_service.learning.presets import Preset, RollOut
+from koop_service.learning.windows import Batch
 
 
 @dataclass(frozen=True, eq=False)
 class Loss:
-    """`total` is minimised; the others are (robust) RMSE a pixel and relative RMSE of codes."""
+    """`total` is minimised. `reconstruction` and `prediction` are RMSE a pixel (robust by picture).
+
+    `codes` is the residual of the fit, ||z_{t+1} - Theta w_t|| over the codes' spread (the paper's
+    figure 17). `frames` went through the network; `horizon` of them were predicted in a row.
+    """
 
     total: Tensor
+    frames: int
     reconstruction: float
-    prediction: float
-    consistency: float
+    prediction: float = float("nan")
+    codes: float = float("nan")
+    horizon: int = 0
 
 
-def loss(
-    model: Autoencoder, batch: Batch, preset: Preset, horizon: int, rng: np.random.Generator
-) -> Loss:
-    """Reconstruction, decoded prediction and code consistency over `horizon` steps."""
-    windows, length = batch.images.shape[:2]
-    flat = batch.images.flatten(0, 1)[:, None].contiguous(memory_format=torch.channels_last)
-    codes = model.encode(flat).unflatten(0, (windows, length))
-    fitted = int(rng.integers(preset.fit_frames[0], preset.fit_frames[1] + 1))
-    W, Y = regressors(codes[:, :fitted], batch.controls[:, : fitted - 1], preset.history)
-    theta = proximal_solve(W, Y, preset.rho, preset.refinements)
-
-    restarts = _restarts(windows, fitted, length - 1 - horizon, preset, rng)
-    predicted, target_index = _predict(theta, codes, batch.controls, restarts, horizon, preset)
-    targets = _pick(codes, target_index)
-    spread = codes.detach().flatten(0, 1).var(0).mean()
-    relative = ((predicted - targets) ** 2).mean(3) / spread
-    consistency = torch.log1p(10 * relative).mean() / 10
-
-    reconstruction = _decoded_error(model, codes, batch.images, preset.reconstructed, rng)
-    aimed = batch.images[torch.arange(windows)[:, None, None], target_index]
-    prediction = _decoded_error(model, predicted, aimed, preset.predicted, rng)
-    total = reconstruction + prediction + preset.consistency * consistency
-    return Loss(
-        total,
-        float(reconstruction.detach().sqrt()),
-        float(prediction.detach().sqrt()),
-        float(relative.detach().mean().sqrt()),
-    )
+def autoencoder_loss(model: Autoencoder, images: Tensor, hardware: Hardware) -> Loss:
+    """Mean squared error a pixel of images (B, 1, 64, 64) encoded and decoded."""
+    with hardware.autocast():
+        decoded = model.decode(model.encode(images))
+    error = ((decoded.float() - images) ** 2).mean()
+    return Loss(error, len(images), float(error.detach().sqrt()))
 
 
-def _restarts(
-    windows: int, fitted: int, last: int, preset: Preset, rng: np.random.Generator
+@dataclass(frozen=True, eq=False)
+class DynamicsLoss:
+    """Reconstruction, decoded prediction and code consistency. `head` encodes a batch's inputs."""
+
+    head: nn.Module
+    model: Autoencoder
+    dynamics: Dynamics
+    preset: Preset
+    roll: RollOut
+    hardware: Hardware
+
+    def __call__(self, batch: Batch, fitted: int, horizon: int, rng: np.random.Generator) -> Loss:
+        """The loss of windows that are fitted on their first `fitted` frames."""
+        codes = self.encode(batch)
+        W, Y = regressors(codes, batch.controls, self.preset.history)
+        known = fitted - self.preset.history
+        theta = self.dynamics(W[:, :known], Y[:, :known])
+        spread = codes.detach().flatten(0, 1).var(0).mean()
+        predictions = [
+            self._predict(theta, W, Y, codes, batch.controls, restarts, steps)
+            for restarts, steps in self._restarts(codes.shape[:2], fitted, horizon, rng)
+        ]
+        relative = [((p.codes - _pick(codes, p.aims)) ** 2).mean(3) / spread for p in predictions]
+        consistency = sum(torch.log1p(10 * r).mean() for r in relative) / (10 * len(relative))
+
+        prediction, reconstruction = self._decoded(codes, predictions, batch.images, rng)
+        residual = ((W[:, :known].double() @ theta.mT - Y[:, :known]) ** 2).mean() / spread
+        return Loss(
+            prediction + reconstruction + self.preset.consistency * consistency,
+            codes.shape[0] * codes.shape[1],
+            float(reconstruction.detach().sqrt()),
+            float(prediction.detach().sqrt()),
+            float(residual.detach().sqrt()),
+            horizon,
+        )
+
+    def encode(self, batch: Batch) -> Tensor:
+        """Codes (B, L, n) float32."""
+        with self.hardware.autocast():
+            codes = self.head(batch.inputs).flatten(1)
+        return codes.float().unflatten(0, batch.images.shape[:2])
+
+    def _restarts(
+        self, shape: torch.Size, fitted: int, horizon: int, rng: np.random.Generator
+    ) -> list[tuple[Tensor, int]]:
+        """Frames (B, S) to start from and the steps to predict from them, longest first."""
+        windows, length = shape
+        count, device = self.roll.restarts, self.hardware.device
+        if self.roll.refit:
+            follow = np.tile(fitted - 1 + horizon * np.arange(count), (windows, 1))
+            return [(torch.from_numpy(follow).to(device), horizon)]
+        end = torch.full((windows, 1), fitted - 1, device=device)
+        if count == 1:
+            return [(end, horizon)]
+        short = min(self.roll.short or horizon, horizon)
+        others = rng.integers(self.preset.history - 1, length - short, (windows, count - 1))
+        return [(end, horizon), (torch.from_numpy(others).to(device), short)]
+
+    def _predict(
+        self,
+        theta: Tensor,
+        W: Tensor,
+        Y: Tensor,
+        codes: Tensor,
+        controls: Tensor,
+        restarts: Tensor,
+        horizon: int,
+    ) -> _Predicted:
+        """K = `horizon` codes from each of the frames `restarts` (B, S)."""
+        h = self.preset.history
+        thetas = theta[:, None]
+        if self.roll.refit:  # restarts are the same in each window
+            known = [int(restart) + 1 - h for restart in restarts[0]]
+            thetas = torch.stack([self.dynamics(W[:, :k], Y[:, :k]) for k in known], dim=1)
+        steps = torch.arange(horizon, device=restarts.device)
+        back = torch.arange(1 - h, 1, device=restarts.device)
+        history = _pick(codes, restarts[:, :, None] + back)
+        future = _pick(controls, restarts[:, :, None] + steps)
+        return _Predicted(roll_out(thetas, history, future), restarts[:, :, None] + 1 + steps)
+
+    def _decoded(
+        self,
+        codes: Tensor,
+        predictions: list[_Predicted],
+        images: Tensor,
+        rng: np.random.Generator,
+    ) -> tuple[Tensor, Tensor]:
+        """Squared pixel errors of random predicted codes and of random codes, robust by picture.
+
+        A diverged code decodes to anything; its error counts no more than logarithmically beyond
+        the pictures' own variance, or one of them would drown a whole batch.
+        """
+        share = self.preset.predicted // len(predictions)
+        ahead = [p.sample(images.shape[1], share, rng) for p in predictions]
+        known = _choose(len(images) * images.shape[1], self.preset.reconstructed, rng)
+        known = known.to(codes.device)
+        inputs = torch.cat([*(chosen for chosen, _ in ahead), codes.flatten(0, 1)[known]])
+        frames = torch.cat([*(aims for _, aims in ahead), known])
+        truth = images.flatten(0, 1)[frames].float() / 255
+        with self.hardware.autocast():
+            decoded = self.model.decode(inputs)
+        error = ((decoded.float()[:, 0] - truth) ** 2).mean((1, 2))
+        scale = truth.var()
+        robust = scale * torch.log1p(error / scale)
+        return robust[: -len(known)].mean(), robust[-len(known) :].mean()
+
+
+@dataclass(frozen=True, eq=False)
+class _Predicted:
+    """`codes` (B, S, K, n) and the frames `aims` (B, S, K) of the windows that they predict."""
+
+    codes: Tensor
+    aims: Tensor
+
+    def sample(self, length: int, count: int, rng: np.random.Generator) -> tuple[Tensor, Tensor]:
+        """`count` random codes, near steps rather than far ones where several restarts compete,
+        and the frames that they predict, counted through all windows of `length` frames."""
+        windows, restarts, steps = self.aims.shape
+        weights = 1 / np.arange(1, steps + 1) if restarts > 1 else np.ones(steps)
+        chosen = _choose(self.aims.numel(), count, rng, np.tile(weights, windows * restarts))
+        chosen = chosen.to(self.aims.device)
+        window = torch.arange(windows, device=self.aims.device)[:, None, None]
+        frames = self.aims + length * window
+        return self.codes.flatten(0, 2)[chosen], frames.flatten()[chosen]
+
+
+def _choose(
+    total: int, count: int, rng: np.random.Generator, weights: np.ndarray | None = None
 ) -> Tensor:
-    """Frames (B, S) to start from: half inside the fitted part, half from its end to `last`."""
-    half = preset.restarts // 2
-    inside = rng.integers(preset.history - 1, fitted - 1, (windows, half))
-    after = rng.integers(fitted - 1, last + 1, (windows, preset.restarts - half))
-    return torch.from_numpy(np.concatenate([inside, after], 1))
-
-
-def _predict(
-    theta: Tensor, codes: Tensor, controls: Tensor, restarts: Tensor, horizon: int, preset: Preset
-) -> tuple[Tensor, Tensor]:
-    """Predicted codes (B, S, K, n) and the frames (B, S, K) that they predict."""
-    steps = torch.arange(horizon)
-    back = torch.arange(1 - preset.history, 1)
-    history = _pick(codes, restarts[:, :, None] + back)
-    future = _pick(controls, restarts[:, :, None] + steps)
-    return roll_out(theta, history, future), restarts[:, :, None] + 1 + steps
+    """At most `count` different numbers below `total`."""
+    share = None if weights is None else weights / weights.sum()
+    return torch.from_numpy(rng.choice(total, min(count, total), False, share))
 
 
 def _pick(sequence: Tensor, index: Tensor) -> Tensor:
     """sequence (B, T, c) at index (B, S, K): (B, S, K, c)."""
-    return sequence[torch.arange(len(sequence))[:, None, None], index]
-
-
-def _decoded_error(
-    model: Autoencoder, codes: Tensor, images: Tensor, count: int, rng: np.random.Generator
-) -> Tensor:
-    """Squared pixel error of `count` randomly chosen codes (..., n) decoded, robust by picture.
-
-    A diverged code decodes to anything; its error counts no more than logarithmically beyond the
-    pictures' own variance, or one of them would drown a whole batch.
-    """
-    flat_codes, flat_images = codes.flatten(0, -2), images.flatten(0, -3)
-    chosen = torch.from_numpy(rng.choice(len(flat_codes), min(count, len(flat_codes)), False))
-    decoded = model.decode(flat_codes[chosen])
-    truth = flat_images[chosen]
-    error = ((decoded[:, 0] - truth) ** 2).mean((1, 2))
-    scale = truth.var()
-    return (scale * torch.log1p(error / scale)).mean()
+    rows = torch.arange(len(sequence), device=sequence.device)
+    return sequence[rows[:, None, None], index]

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import json
+import math
+import os
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -12,6 +15,8 @@ import numpy as np
 
 from koop_protocol import recording as names
 from koop_service.encoding.autoencoder import IMAGE_SIZE
+
+_MAKE = "make one with koop-dataset or koop-record"
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,47 +48,149 @@ class Recording:
 
 def load_recording(path: Path) -> Recording:
     """Read `path` whole. Raises ValueError saying what is wrong with it."""
+    with _open(path) as file:
+        frames, controls = _check_shapes(path, file)
+        _check_memory(path, frames, controls)
+        recording = Recording(
+            frames=_read(path, frames),
+            controls=_read(path, controls).astype(np.float64),
+            system=_text(path, file, names.SYSTEM_ATTRIBUTE),
+            renderer=_text(path, file, names.RENDERER_ATTRIBUTE),
+            dt=_number(path, file, names.DT_ATTRIBUTE),
+            seed=int(_number(path, file, names.SEED_ATTRIBUTE)),
+        )
+    if not math.isfinite(recording.dt) or recording.dt <= 0:
+        raise ValueError(
+            f"{path} has dt = {recording.dt} s between frames; expected a positive time"
+        )
+    if not np.isfinite(recording.controls).all():
+        raise ValueError(f"{path} holds controls that are not finite; record it again without them")
+    return recording
+
+
+def load_manifest(path: Path) -> list[dict[str, Any]]:
+    """How each trajectory came about: regime and physical parameters, or source and epoch.
+
+    Raises ValueError where the file does not say so for each trajectory.
+    """
+    with _open(path) as file:
+        count = len(_dataset(path, file, names.FRAMES_DATASET))
+        lines = _read(path, _dataset(path, file, names.PARAMETERS_DATASET))
+    if lines.shape != (count,):
+        raise ValueError(f"{path} has a manifest {lines.shape} for {count} trajectories; {_MAKE}")
+    return [_entry(path, i, line) for i, line in enumerate(lines)]
+
+
+def _entry(path: Path, i: int, line: Any) -> dict[str, Any]:
+    try:
+        entry = json.loads(line)
+    except (TypeError, ValueError):
+        entry = None
+    if not isinstance(entry, dict):
+        raise ValueError(f"{path} has a manifest whose line {i} is no JSON object; {_MAKE}")
+    return entry
+
+
+def _open(path: Path) -> h5py.File:
+    """The file, once format and version are right."""
     try:
         file = h5py.File(path, "r")
     except OSError as error:
-        raise ValueError(f"{path} cannot be read as HDF5: {error}") from error
-    with file:
-        _check(path, file)
-        attributes: dict[str, Any] = dict(file.attrs)
-        return Recording(
-            frames=_dataset(path, file, names.FRAMES_DATASET)[:],
-            controls=_dataset(path, file, names.CONTROLS_DATASET)[:],
-            system=str(attributes[names.SYSTEM_ATTRIBUTE]),
-            renderer=str(attributes[names.RENDERER_ATTRIBUTE]),
-            dt=float(attributes[names.DT_ATTRIBUTE]),
-            seed=int(attributes[names.SEED_ATTRIBUTE]),
-        )
-
-
-def _check(path: Path, file: h5py.File) -> None:
+        raise ValueError(
+            f"{path} cannot be read as HDF5; is the copy complete, and the path right? ({error})"
+        ) from error
     if file.attrs.get(names.FORMAT_ATTRIBUTE) != names.RECORDING_FORMAT:
-        raise ValueError(f"{path} is not a koop recording; make one with koop-dataset")
+        file.close()
+        raise ValueError(f"{path} is not a koop recording; {_MAKE}")
     version: Any = file.attrs.get(names.VERSION_ATTRIBUTE)
     if version != names.RECORDING_VERSION:
+        file.close()
         raise ValueError(
             f"{path} is a recording of version {version}; this koop reads {names.RECORDING_VERSION}"
         )
+    return file
+
+
+def _check_shapes(path: Path, file: h5py.File) -> tuple[h5py.Dataset, h5py.Dataset]:
     frames = _dataset(path, file, names.FRAMES_DATASET)
     controls = _dataset(path, file, names.CONTROLS_DATASET)
     if frames.dtype != np.uint8 or frames.shape[2:] != (IMAGE_SIZE, IMAGE_SIZE):
         raise ValueError(
-            f"{path} holds frames {frames.shape[2:]} {frames.dtype}; "
-            f"the autoencoder takes ({IMAGE_SIZE}, {IMAGE_SIZE}) uint8"
+            f"{path} holds frames {frames.shape} {frames.dtype}; "
+            f"the autoencoder takes ({IMAGE_SIZE}, {IMAGE_SIZE}) uint8, N trajectories of T each"
         )
-    expected = (frames.shape[0], frames.shape[1] - 1)
-    if controls.shape[:2] != expected:
-        raise ValueError(f"{path} holds controls {controls.shape}; expected {expected} + (p,)")
-    if not np.isfinite(controls[:]).all():
-        raise ValueError(f"{path} holds controls that are not finite")
+    count, length = frames.shape[:2]
+    if count < 1 or length < 2:
+        raise ValueError(
+            f"{path} holds {count} trajectories of {length} frames; "
+            "expected at least one trajectory of at least 2 frames"
+        )
+    if controls.ndim != 3 or controls.shape[:2] != (count, length - 1):
+        raise ValueError(
+            f"{path} holds controls {controls.shape}; expected {(count, length - 1)} + (p,)"
+        )
+    if controls.dtype.kind not in "fiu":
+        raise ValueError(f"{path} holds controls of type {controls.dtype}; expected float64")
+    return frames, controls
+
+
+def _check_memory(path: Path, *datasets: h5py.Dataset) -> None:
+    # A few kilobytes of HDF5 can declare any size; and training holds the set as it is.
+    needed = sum(dataset.size * dataset.dtype.itemsize for dataset in datasets)
+    free = free_memory()
+    if needed > free:
+        raise ValueError(
+            f"{path} needs {_gigabytes(needed)} of memory and {_gigabytes(free)} are free; "
+            "use fewer trajectories, or a larger machine"
+        )
+
+
+def free_memory() -> int:
+    """Memory that can be had without swapping [bytes]: Linux's own estimate, else free pages."""
+    try:
+        lines = Path("/proc/meminfo").read_text().splitlines()
+        return next(1024 * int(line.split()[1]) for line in lines if "MemAvailable" in line)
+    except (OSError, StopIteration):
+        return os.sysconf("SC_AVPHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+
+
+def _gigabytes(size: int) -> str:
+    return f"{size / 2**30:.3g} GiB"
+
+
+def _read(path: Path, dataset: h5py.Dataset) -> np.ndarray:
+    try:
+        return dataset[:]
+    except OSError as error:
+        raise ValueError(f"{path} is damaged in its {dataset.name}: {error}") from error
 
 
 def _dataset(path: Path, file: h5py.File, name: str) -> h5py.Dataset:
-    dataset = file.get(name)
-    if not isinstance(dataset, h5py.Dataset):
-        raise ValueError(f"{path} has no data set {name!r}; make the recording with koop-dataset")
+    try:
+        dataset = file.get(name)
+    except OSError as error:
+        raise ValueError(f"{path} is damaged in its {name}: {error}") from error
+    if not isinstance(dataset, h5py.Dataset) or dataset.shape is None:
+        raise ValueError(f"{path} has no data set {name!r}; {_MAKE}")
     return dataset
+
+
+def _attribute(path: Path, file: h5py.File, name: str) -> Any:
+    value = file.attrs.get(name)
+    if value is None:
+        raise ValueError(f"{path} has no attribute {name!r}; {_MAKE}")
+    return value
+
+
+def _text(path: Path, file: h5py.File, name: str) -> str:
+    value = _attribute(path, file, name)
+    if not isinstance(value, str):
+        raise ValueError(f"{path} has {name} = {value!r}; expected text")
+    return value
+
+
+def _number(path: Path, file: h5py.File, name: str) -> float:
+    value = np.asarray(_attribute(path, file, name))
+    if value.ndim or value.dtype.kind not in "fiu":
+        raise ValueError(f"{path} has {name} = {value!r}; expected a number")
+    return float(value)

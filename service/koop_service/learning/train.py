@@ -1,135 +1,231 @@
-"""The training loops: the autoencoder alone, then together with the fit."""
+"""The training loop over two stages: the autoencoder alone, then together with the dynamics.
+
+Every random draw of a step comes from a generator seeded by the step, and rates and horizons are
+functions of the step, so a `Training` is all that there is to remember.
+"""
 
 from __future__ import annotations
 
-import math
+import time
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
 
 import numpy as np
 import torch
-from tqdm import tqdm
+from torch import Tensor, nn
 
 from koop_service.encoding.autoencoder import Autoencoder, initialised
-from koop_service.learning.objective import Batch, Loss, loss
-from koop_service.learning.presets import Preset
+from koop_service.learning.dynamics import Dynamics, Sizes
+from koop_service.learning.fit import regressors
+from koop_service.learning.hardware import Hardware
+from koop_service.learning.objective import DynamicsLoss, Loss, autoencoder_loss
+from koop_service.learning.parallel import Group
+from koop_service.learning.presets import Preset, Stage
 from koop_service.learning.recording import Recording
+from koop_service.learning.schedule import growing_horizon, learning_rate
+from koop_service.learning.windows import Windows, random_frames
+
+STAGES = ("autoencoder", "dynamics")
+_PATIENCE = 20  # steps in a row whose gradient is not finite, before training gives up
 
 
-def train(
-    recording: Recording,
-    preset: Preset,
-    seed: int,
-    keep: Callable[[Autoencoder], None],
-    warm: Autoencoder | None = None,
-) -> Autoencoder:
-    """Train from scratch, or from `warm` weights; `keep` is called with the model now and then."""
-    rng = np.random.default_rng(seed)
-    model = _warmed_up(recording, preset, seed, rng) if warm is None else warm
-    model.to(memory_format=torch.channels_last)  # pyright: ignore[reportCallIssue]
-    keep(model)
-    learn_dynamics(model, recording, preset, rng, keep)
-    return model.eval()
+@dataclass(eq=False)
+class Training:
+    """How far a training has come: `step` steps of STAGES[stage] are done.
+
+    `moments` is what Adam keeps, by parameter; `frames` went through the network in `seconds` [s].
+    """
+
+    model: Autoencoder
+    dynamics: Dynamics
+    stage: int = 0
+    step: int = 0
+    frames: int = 0
+    seconds: float = 0.0
+    moments: dict[int, dict[str, Tensor]] = field(default_factory=dict)
+
+    @property
+    def stage_name(self) -> str:
+        return STAGES[min(self.stage, len(STAGES) - 1)]
 
 
-def _warmed_up(
-    recording: Recording, preset: Preset, seed: int, rng: np.random.Generator
-) -> Autoencoder:
-    model = initialised(preset.code_size, seed)
-    model.to(memory_format=torch.channels_last)  # pyright: ignore[reportCallIssue]
-    some = recording.frames[:: max(1, len(recording.frames) // 64)] / 255.0
-    model.match_output_scale(float(some.mean()), float(some.std()))
-    warm_up(model, recording, preset, rng)
-    return model
+@dataclass(frozen=True, eq=False)
+class Setting:
+    """What does not change in a training; `tell` is for what a user should know."""
+
+    recording: Recording
+    preset: Preset
+    seed: int
+    hardware: Hardware
+    group: Group = field(default_factory=Group)
+    tell: Callable[[str], None] = print
+
+    def stage(self, index: int) -> Stage:
+        return (self.preset.autoencoder, self.preset.dynamics)[index]
+
+    def generator(self, stage: int, step: int) -> np.random.Generator:
+        """The random numbers of one step in this process."""
+        return np.random.default_rng([self.seed, stage, step, self.group.rank])
 
 
-def warm_up(
-    model: Autoencoder, recording: Recording, preset: Preset, rng: np.random.Generator
-) -> None:
+@dataclass(frozen=True, eq=False)
+class _Task:
+    """One stage at work: `averaged` tensors are kept equal in all processes beside gradients."""
+
+    parameters: list[nn.Parameter]
+    averaged: list[Tensor]
+    loss: Callable[[int, np.random.Generator], Loss]
+
+
+def begin(setting: Setting, dynamics: str, warm: Autoencoder | None = None) -> Training:
+    """A training that has done nothing yet; it starts at the second stage from `warm` weights.
+
+    A fresh autoencoder's output is matched to the pictures' brightness.
+    """
+    preset, recording = setting.preset, setting.recording
+    model = warm if warm is not None else initialised(preset.code_size, setting.seed)
+    if warm is None:
+        some = recording.frames[:: max(1, len(recording.frames) // 64), ::10] / np.float32(255)
+        model.match_output_scale(float(some.mean()), float(some.std()))
+    model.to(setting.hardware.device, memory_format=torch.channels_last)  # pyright: ignore[reportCallIssue]
+    controls = recording.controls.shape[2]
+    sizes = Sizes(model.code_size, preset.history, controls)
+    fit = Dynamics(dynamics, sizes, preset.roll_out(controls).rho, preset.refinements)
+    setting.group.agree(list(model.state_dict().values()))
+    done = warm is not None and not preset.autoencoder.steps
+    return Training(model, fit.to(setting.hardware.device), stage=int(done))
+
+
+def advance(training: Training, setting: Setting) -> Iterator[Loss]:
+    """Train on from where `training` stands, and change it; yields after each step.
+
+    Raises ValueError where the loss stays not finite.
+    """
+    for stage in range(training.stage, len(STAGES)):
+        training.stage = stage
+        if setting.stage(stage).steps > training.step:
+            yield from _advance_stage(training, setting)
+        training.step, training.moments = 0, {}
+    training.stage = len(STAGES)
+    training.model.eval()
+
+
+def _advance_stage(training: Training, setting: Setting) -> Iterator[Loss]:
+    stage = setting.stage(training.stage)
+    task = (_autoencoder, _dynamics)[training.stage](training, setting)
+    optimiser = _optimiser(training, task.parameters)
+    fruitless, began = 0, time.monotonic() - training.seconds
+    while training.step < stage.steps:
+        for group in optimiser.param_groups:
+            group["lr"] = learning_rate(stage, training.step)
+        loss = task.loss(training.step, setting.generator(training.stage, training.step))
+        moved = _descend(optimiser, task, loss.total, stage.clip, setting.group)
+        fruitless = 0 if moved else fruitless + 1
+        if fruitless >= _PATIENCE:
+            raise ValueError(_diverged(training))
+        training.step += 1
+        training.frames += loss.frames * setting.group.size
+        training.seconds = time.monotonic() - began
+        training.moments = optimiser.state_dict()["state"]
+        yield loss
+
+
+def _autoencoder(training: Training, setting: Setting) -> _Task:
     """The autoencoder alone: a prediction loss too early collapses to the mean picture."""
+    model, hardware = training.model, setting.hardware
     model.train()
-    for optimiser, progress in _steps(
-        model, preset.warmup_steps, preset.warmup_rate, "autoencoder"
-    ):
-        images = _random_frames(recording, preset.warmup_batch, rng)
-        error = ((model.decode(model.encode(images)) - images) ** 2).mean()
-        _descend(model, optimiser, error, clip=1.0)
-        progress.set_postfix(rmse=f"{math.sqrt(error.item()):.4f}", refresh=False)
+    count = setting.group.share(setting.preset.autoencoder.batch)
+
+    def loss(_: int, rng: np.random.Generator) -> Loss:
+        images = random_frames(setting.recording, count, rng).to(hardware.device)
+        return autoencoder_loss(model, images, hardware)
+
+    statistics = [buffer for buffer in model.buffers() if buffer.is_floating_point()]
+    return _Task(list(model.parameters()), statistics, loss)
 
 
-def learn_dynamics(
-    model: Autoencoder,
-    recording: Recording,
-    preset: Preset,
-    rng: np.random.Generator,
-    keep: Callable[[Autoencoder], None],
-) -> None:
+def _dynamics(training: Training, setting: Setting) -> _Task:
     """Autoencoder and prediction, the predicted horizon growing.
 
     BatchNorm uses its running statistics from here on, so that what is trained is what is served.
     """
+    model, preset = training.model, setting.preset
     model.train()
     model.freeze_statistics()
-    for step, (optimiser, progress) in enumerate(
-        _steps(model, preset.steps, preset.rate, "dynamics")
-    ):
-        horizon = growing_horizon(step, preset)
-        result = loss(model, _random_windows(recording, preset, rng), preset, horizon, rng)
-        _descend(model, optimiser, result.total, preset.clip)
-        progress.set_postfix(_summary(result, horizon), refresh=False)
-        if step % 100 == 99:
-            keep(model)
+    blocks = list(model.encoder)
+    trunk = nn.Sequential(*blocks[: preset.frozen_blocks])
+    head = nn.Sequential(*blocks[preset.frozen_blocks :])
+    roll = preset.roll_out(setting.recording.controls.shape[2])
+    memory = preset.memory - setting.recording.frames.nbytes
+    windows = Windows(setting.recording, trunk, memory, setting.hardware, setting.seed)
+    if windows.parts > 1 and setting.group.leads:
+        setting.tell(
+            f"memory holds the frozen blocks' outputs of {len(windows.first)} trajectories at a "
+            f"time: training goes through {windows.parts} parts of the recording"
+        )
+    objective = DynamicsLoss(head, model, training.dynamics, preset, roll, setting.hardware)
+    count = setting.group.share(preset.dynamics.batch)
+
+    def loss(step: int, rng: np.random.Generator) -> Loss:
+        windows.go_to(step * windows.parts // preset.dynamics.steps)
+        horizon = growing_horizon(step, preset, roll)
+        fitted = int(rng.integers(roll.fit_frames[0], roll.fit_frames[1] + 1))
+        batch = windows.draw(count, fitted + roll.after(horizon), rng)
+        return objective(batch, fitted, horizon, rng)
+
+    if training.step == 0:
+        _start_dynamics(training, setting, windows, objective)
+    parameters = [*head.parameters(), *model.decoder.parameters(), *training.dynamics.parameters()]
+    return _Task(parameters, [], loss)
 
 
-def growing_horizon(step: int, preset: Preset) -> int:
-    """From 1 to `preset.horizon` over the first `preset.growth` of the steps."""
-    share = min(1.0, step / max(1.0, preset.growth * preset.steps))
-    return 1 + round(share * (preset.horizon - 1))
+@torch.no_grad()
+def _start_dynamics(
+    training: Training, setting: Setting, windows: Windows, objective: DynamicsLoss
+) -> None:
+    """Start what the dynamics learn at the least squares of one batch."""
+    if training.dynamics.matrix is None:
+        return
+    windows.go_to(0)
+    rng = np.random.default_rng([setting.seed, len(STAGES)])
+    batch = windows.draw(8 * setting.preset.dynamics.batch, objective.roll.fit_frames[1], rng)
+    codes = objective.encode(batch)
+    training.dynamics.initialise(*regressors(codes, batch.controls, setting.preset.history))
+    setting.group.agree([training.dynamics.matrix])
 
 
-def _steps(
-    model: Autoencoder, count: int, rate: float, title: str
-) -> Iterator[tuple[torch.optim.Optimizer, tqdm]]:
-    optimiser = torch.optim.Adam(model.parameters(), lr=rate)
-    schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, count, eta_min=rate * 0.01)
-    with tqdm(total=count, desc=title, unit="step", mininterval=1.0) as progress:
-        for _ in range(count):
-            yield optimiser, progress
-            schedule.step()
-            progress.update()
+def _optimiser(training: Training, parameters: list[nn.Parameter]) -> torch.optim.Adam:
+    """Adam over `parameters`, going on with the training's moments."""
+    optimiser = torch.optim.Adam(parameters)
+    for index, moments in training.moments.items():
+        parameter = parameters[index]
+        # In the parameter's own memory layout: another one may round differently.
+        optimiser.state[parameter] = {
+            name: torch.empty_like(parameter).copy_(moment) if moment.dim() else moment
+            for name, moment in moments.items()
+        }
+    return optimiser
 
 
 def _descend(
-    model: Autoencoder, optimiser: torch.optim.Optimizer, error: torch.Tensor, clip: float
-) -> None:
+    optimiser: torch.optim.Optimizer, task: _Task, total: Tensor, clip: float, group: Group
+) -> bool:
+    """One step down the averaged gradient; False where it is not finite, and nothing moved."""
     optimiser.zero_grad(set_to_none=True)
-    error.backward()
-    norm = torch.nn.utils.clip_grad_norm_(model.parameters(), clip)
-    if bool(torch.isfinite(norm)):
+    total.backward()
+    gradients = [p.grad for p in task.parameters if p.grad is not None]
+    with torch.no_grad():
+        group.average([*gradients, *task.averaged])
+    norm = torch.nn.utils.clip_grad_norm_(task.parameters, clip)
+    finite = bool(torch.isfinite(norm))
+    if finite:
         optimiser.step()
+    return finite
 
 
-def _random_frames(recording: Recording, count: int, rng: np.random.Generator) -> torch.Tensor:
-    sequences, length = recording.frames.shape[:2]
-    chosen = recording.frames[rng.integers(sequences, size=count), rng.integers(length, size=count)]
-    images = torch.from_numpy(chosen)[:, None].float().div_(255)
-    return images.contiguous(memory_format=torch.channels_last)
-
-
-def _random_windows(recording: Recording, preset: Preset, rng: np.random.Generator) -> Batch:
-    sequences, total = recording.frames.shape[:2]
-    length = preset.length
-    which = rng.integers(sequences, size=preset.windows)
-    start = rng.integers(total - length + 1, size=preset.windows)
-    pairs = list(zip(which, start, strict=True))
-    frames = np.stack([recording.frames[i, s : s + length] for i, s in pairs])
-    controls = np.stack([recording.controls[i, s : s + length - 1] for i, s in pairs])
-    return Batch(torch.from_numpy(frames).float().div_(255), torch.from_numpy(controls).float())
-
-
-def _summary(result: Loss, horizon: int) -> dict[str, str | int]:
-    return {
-        "K": horizon,
-        "reconstruction": f"{result.reconstruction:.4f}",
-        "prediction": f"{result.prediction:.4f}",
-        "codes": f"{result.consistency:.3f}",
-    }
+def _diverged(training: Training) -> str:
+    return (
+        f"the loss has not been finite for {_PATIENCE} steps (stage {training.stage_name}, step "
+        f"{training.step}); try another --seed, fewer --steps of a shorter horizon (--regime "
+        "partial), --precision float32, or look whether the recording's frames are sound"
+    )

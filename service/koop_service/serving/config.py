@@ -202,8 +202,9 @@ class ServiceConfig:
         tuple[Annotated[ModelRule, _RULE], ...],
         arg(metavar="PATTERN=FILE ...", help_behavior_hint="(default: the bundled models)"),
     ] = ()
-    """Own models, which go before the bundled ones, such as 'cartpole/*=mine.safetensors': a
-    trajectory takes the first whose pattern matches its name."""
+    """Models that go before the bundled ones, such as 'line3/*=mine.safetensors', or the name of a
+    bundled one, such as 'line3/*=pendulum-high': a trajectory takes the first whose pattern
+    matches its name."""
     state_folder: Annotated[Path, arg(metavar="FOLDER")] = field(
         default_factory=default_state_folder
     )

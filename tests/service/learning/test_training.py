@@ -1,112 +1,193 @@
 """Training on a small recording: it learns, repeats itself, and refuses what does not fit."""
 
+import csv
 import dataclasses
+from pathlib import Path
 
-import h5py
 import numpy as np
 import pytest
 import torch
 
-from koop_protocol import recording as names
 from koop_service.encoding.weights import load_weights
-from koop_service.learning import cli
-from koop_service.learning.presets import PRESETS
-from koop_service.learning.recording import Recording, load_recording
-from koop_service.learning.train import growing_horizon, train
+from koop_service.learning import cli, look
+from koop_service.learning.dynamics import load_learned
+from koop_service.learning.hardware import choose
+from koop_service.learning.log import COLUMNS
+from koop_service.learning.train import Setting, advance, begin
+
+from .blobs import moving_blobs, pushes, smoke, write
+
+HARDWARE = choose("cpu", "float32")
 
 
-def moving_blobs(count: int = 3, frames: int = 120) -> np.ndarray:
-    """A bright square on a circle: pictures of a rotation."""
-    images = np.zeros((count, frames, 64, 64), np.uint8)
-    for i in range(count):
-        for t in range(frames):
-            x, y = (32 + 20 * f(0.2 * t + i) for f in (np.cos, np.sin))
-            images[i, t, int(y) - 4 : int(y) + 4, int(x) - 4 : int(x) + 4] = 255
-    return images
+def trained(recording, preset, seed=5, dynamics="fitted"):
+    setting = Setting(recording, preset, seed, HARDWARE)
+    training = begin(setting, dynamics)
+    losses = list(advance(training, setting))
+    return training, losses
 
 
-def write(path, frames: np.ndarray, controls: np.ndarray | None = None, **attributes):
-    if controls is None:
-        controls = np.zeros((*frames.shape[:1], frames.shape[1] - 1, 1))
-    with h5py.File(path, "w") as file:
-        file[names.FRAMES_DATASET] = frames
-        file[names.CONTROLS_DATASET] = controls
-        known = {
-            names.FORMAT_ATTRIBUTE: names.RECORDING_FORMAT,
-            names.VERSION_ATTRIBUTE: names.RECORDING_VERSION,
-            names.SYSTEM_ATTRIBUTE: "blobs",
-            names.RENDERER_ATTRIBUTE: "test",
-            names.DT_ATTRIBUTE: 0.05,
-            names.SEED_ATTRIBUTE: 0,
-        }
-        file.attrs.update({**known, **attributes})
-    return path
+def test_training_lowers_the_error(recording):
+    training, losses = trained(recording, smoke(60, 4))
+    model = training.model
+    images = torch.from_numpy(recording.frames[0, :50]).float()[:, None] / 255
+    error = ((model.decode(model.encode(images)) - images) ** 2).mean().item()
+    assert error < 0.7 * images.var().item()
+    assert not model.training
+    assert [loss.horizon for loss in losses[:60]] == [0] * 60
+    assert training.frames == sum(loss.frames for loss in losses)
+
+
+def test_training_repeats_itself(recording):
+    first, second = (trained(recording, smoke())[0].model.state_dict() for _ in range(2))
+    assert all(torch.equal(first[name], second[name]) for name in first)
+    other = trained(recording, smoke(), seed=6)[0].model.state_dict()
+    assert not torch.equal(first["decoder.5.0.weight"], other["decoder.5.0.weight"])
+
+
+@pytest.mark.parametrize("frozen", [0, 3])
+def test_frozen_blocks_stay_as_they_were(recording, frozen):
+    before = begin(Setting(recording, smoke(0, 3), 1, HARDWARE), "fitted").model.state_dict()
+    before = {name: tensor.clone() for name, tensor in before.items()}
+    after = trained(recording, smoke(0, 3, frozen_blocks=frozen), seed=1)[0].model.state_dict()
+    first, last = "encoder.2.0.weight", "encoder.3.0.weight"
+    assert torch.equal(before[first], after[first]) == (frozen == 3)
+    assert not torch.equal(before[last], after[last])
+
+
+def test_a_loss_that_stays_not_finite_is_told(recording):
+    setting = Setting(recording, smoke(30, 0), 0, HARDWARE)
+    training = begin(setting, "fitted")
+    with torch.no_grad():
+        training.model.encoder[0][0].weight.fill_(float("nan"))
+    with pytest.raises(ValueError, match="has not been finite for 20 steps"):
+        list(advance(training, setting))
+
+
+def test_mixed_precision_learns_as_well(recording):
+    losses = {}
+    for precision in ("float32", "bfloat16"):
+        setting = Setting(recording, smoke(40, 4), 5, choose("cpu", precision))
+        losses[precision] = list(advance(begin(setting, "fitted"), setting))
+    single, half = (np.mean([x.reconstruction for x in ls[30:]]) for ls in losses.values())
+    assert half == pytest.approx(single, rel=0.1)
 
 
 @pytest.fixture(scope="module")
-def recording_file(tmp_path_factory):
-    return write(tmp_path_factory.mktemp("data") / "blobs.h5", moving_blobs())
+def written(recording_file, tmp_path_factory) -> Path:
+    out = tmp_path_factory.mktemp("out") / "blobs.safetensors"
+    cli.run(cli.Arguments(recording_file, out, preset="smoke", seed=1, steps=3))
+    return out
 
 
-def test_training_lowers_the_error_and_repeats_itself(recording_file):
-    recording = load_recording(recording_file)
-    preset = dataclasses.replace(PRESETS["smoke"], warmup_steps=60, steps=4)
-    models = [train(recording, preset, seed=5, keep=lambda _: None) for _ in range(2)]
-    images = torch.from_numpy(recording.frames[0, :50]).float()[:, None] / 255
-    error = ((models[0].decode(models[0].encode(images)) - images) ** 2).mean().item()
-    assert error < 0.7 * images.var().item()
-    first, second = (m.state_dict() for m in models)
-    assert all(torch.equal(first[name], second[name]) for name in first)
-
-
-def test_the_command_writes_weights_with_their_card(recording_file, tmp_path):
-    out = tmp_path / "blobs.safetensors"
-    cli.run(cli.Arguments(recording_file, out, preset="smoke", seed=1))
-    _, card = load_weights(out)
-    assert card.system == "blobs"
-    assert card.renderer == "test"
+def test_the_command_writes_weights_with_their_card(written):
+    _, card = load_weights(written)
+    assert (card.system, card.renderer, card.dynamics) == ("blobs", "test", "fitted")
     assert card.training["seed"] == 1
     assert card.figures["reconstruction"] > 0
+    assert card.figures["offline"]["1"] > 0
+    assert load_learned(written) is None
+    assert not written.with_name(written.name + ".checkpoint").exists()
 
 
-def test_the_horizon_grows_from_one_to_its_end():
-    preset = dataclasses.replace(PRESETS["smoke"], steps=100, horizon=20)
-    horizons = [growing_horizon(step, preset) for step in range(100)]
-    assert horizons[0] == 1
-    assert horizons[-1] == 20
-    assert horizons == sorted(horizons)
+def test_the_command_writes_a_log(written):
+    with written.with_suffix(".csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert tuple(rows[0]) == COLUMNS
+    assert [(row["stage"], row["step"]) for row in rows] == [
+        ("autoencoder", "20"),
+        ("dynamics", "3"),
+    ]
+    assert float(rows[1]["codes"]) > 0
+    assert int(rows[1]["frames"]) > int(rows[0]["frames"]) == 20 * 16
+
+
+def test_the_command_draws_a_strip(written):
+    assert written.with_suffix(".png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_the_closing_line_names_files_and_figures(recording_file, tmp_path, capsys):
+    out = tmp_path / "a.safetensors"
+    cli.run(cli.Arguments(recording_file, out, preset="smoke", warm_up=1, steps=1))
+    told = capsys.readouterr().out
+    assert f"wrote {out}, a.csv, a.png" in told
+    assert "minutes" in told
+
+
+@pytest.mark.parametrize("kind", ["learned-A", "learned-B"])
+def test_baselines_go_the_same_way(recording_file, tmp_path, kind):
+    out = tmp_path / "baseline.safetensors"
+    cli.run(cli.Arguments(recording_file, out, preset="smoke", warm_up=2, steps=2, dynamics=kind))
+    learned = load_learned(out)
+    assert learned is not None
+    assert learned.matrix.shape == {"learned-A": (8, 18), "learned-B": (8, 1)}[kind]
+    assert np.abs(learned.matrix).sum() > 0
+    assert load_weights(out)[1].figures["offline"]["1"] > 0
+
+
+def test_training_goes_on_from_weights(written, recording_file, tmp_path):
+    out = tmp_path / "more.safetensors"
+    cli.run(cli.Arguments(recording_file, out, preset="smoke", start_from=written, steps=0))
+    before, after = (load_weights(path)[0].state_dict() for path in (written, out))
+    assert all(torch.equal(before[name], after[name]) for name in before)
+    with pytest.raises(ValueError, match="has codes of size 8, not --code-size 4"):
+        cli.run(cli.Arguments(recording_file, out, start_from=written, code_size=4))
+
+
+def test_codes_of_another_size(free_file, tmp_path):
+    out = tmp_path / "four.safetensors"
+    cli.run(cli.Arguments(free_file, out, preset="smoke", code_size=4, warm_up=1, steps=1))
+    model, card = load_weights(out)
+    assert (model.code_size, card.code_size) == (4, 4)
+
+
+def test_a_strip_shows_truth_above_prediction():
+    truth, predicted = np.ones((2, 12, 64, 64)), np.zeros((2, 12, 64, 64))
+    view = look.Forecast(truth, predicted, np.zeros((2, 64, 64)), dt=0.1)
+    picture, middles = look._mosaic(view, [1, 5, 10])
+    assert len(middles) == 4
+    assert (picture[:64, :64] == 1).all()
+    assert (picture[65:129, :64] == 0).all()
+    assert view.errors()["offline"] == {1: 1.0, 5: 1.0, 10: 1.0}
 
 
 @pytest.mark.parametrize(
-    ("frames", "controls", "attributes", "message"),
+    ("frames", "controls", "change", "message"),
     [
-        (np.zeros((1, 120, 32, 32), np.uint8), None, {}, "takes .64, 64. uint8"),
-        (np.zeros((1, 120, 64, 64), np.float32), None, {}, "uint8"),
-        (np.zeros((1, 120, 64, 64), np.uint8), np.zeros((1, 7, 1)), {}, "expected .1, 119."),
-        (np.zeros((1, 9, 64, 64), np.uint8), np.full((1, 8, 1), np.nan), {}, "not finite"),
-        (np.zeros((1, 9, 64, 64), np.uint8), None, {"format": "other"}, "koop-dataset"),
-        (np.zeros((1, 9, 64, 64), np.uint8), None, {"version": 9}, "version 9"),
+        (moving_blobs(2, 20), 1, {}, r"trajectories of 20 frames.*at least 58"),
+        (np.full((2, 70, 64, 64), 7, np.uint8), 1, {}, "every pixel of every frame is 7"),
+        (moving_blobs(2), 0, {"dynamics": "learned-B"}, "the recording has none"),
+        (moving_blobs(1), 1, {}, "training needs at least 2"),
     ],
 )
-def test_recordings_that_do_not_fit(tmp_path, frames, controls, attributes, message):
-    path = write(tmp_path / "wrong.h5", frames, controls, **attributes)
+def test_recordings_that_do_not_fit(tmp_path, frames, controls, change, message):
+    path = write(tmp_path / "wrong.h5", frames, pushes(frames, controls))
+    arguments = cli.Arguments(path, tmp_path / "out.safetensors", preset="smoke")
     with pytest.raises(ValueError, match=message):
-        load_recording(path)
+        cli.run(dataclasses.replace(arguments, **change))
 
 
-def test_a_recording_too_short_for_the_preset(tmp_path):
-    path = write(tmp_path / "short.h5", np.zeros((2, 20, 64, 64), np.uint8))
-    with pytest.raises(ValueError, match=r"trajectories of 20 frames.*needs at least 112"):
-        cli.run(cli.Arguments(path, tmp_path / "out.safetensors", preset="smoke"))
+def test_weights_for_another_renderer(written, tmp_path):
+    frames = moving_blobs(2)
+    path = write(tmp_path / "other.h5", frames, pushes(frames), renderer="other")
+    arguments = cli.Arguments(path, tmp_path / "out.safetensors", start_from=written)
+    with pytest.raises(ValueError, match=r"drawn by 'test'.*drawn by 'other'"):
+        cli.run(arguments)
 
 
-def test_a_file_that_is_not_there(tmp_path):
-    with pytest.raises(ValueError, match="cannot be read as HDF5"):
-        load_recording(tmp_path / "nowhere.h5")
+def test_a_folder_that_cannot_be_written(recording_file, tmp_path):
+    (tmp_path / "file").touch()
+    arguments = cli.Arguments(recording_file, tmp_path / "file" / "out.safetensors")
+    with pytest.raises(ValueError, match=r"cannot write.*choose another --out"):
+        cli.run(arguments)
+    with pytest.raises(ValueError, match="is a folder"):
+        cli.run(cli.Arguments(recording_file, tmp_path))
 
 
-def test_recording_is_whole(recording_file):
-    recording = load_recording(recording_file)
-    assert isinstance(recording, Recording)
-    assert recording.frames.shape == (3, 120, 64, 64)
-    assert recording.controls.shape == (3, 119, 1)
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [({"device": "tpu"}, "unknown device"), ({"precision": "int8"}, "unknown precision")],
+)
+def test_hardware_that_there_is_not(options, message):
+    with pytest.raises(ValueError, match=message):
+        choose(**options)

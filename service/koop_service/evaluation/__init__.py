@@ -1,0 +1,1 @@
+"""`koop-eval`: the paper's figures and our numbers beside its claims, on unseen trajectories."""

@@ -1,0 +1,23 @@
+"""Learning rate and horizon as functions of the step alone: a resumed run needs no memory."""
+
+from __future__ import annotations
+
+import math
+
+from koop_service.learning.presets import Preset, RollOut, Stage
+
+_LEAST = 0.01  # of the rate, where a cosine ends
+
+
+def learning_rate(stage: Stage, step: int) -> float:
+    """The rate of Adam at `step` of `stage`."""
+    share = step / stage.steps
+    if stage.halvings:
+        return stage.rate * 0.5 ** math.floor(share * stage.halvings)
+    return stage.rate * (_LEAST + (1 - _LEAST) * (1 + math.cos(math.pi * share)) / 2)
+
+
+def growing_horizon(step: int, preset: Preset, roll_out: RollOut) -> int:
+    """From 1 to the roll-out's horizon over the first `preset.growth` of the dynamics' steps."""
+    share = min(1.0, step / max(1.0, preset.growth * preset.dynamics.steps))
+    return 1 + round(share * (roll_out.horizon - 1))

@@ -1,0 +1,136 @@
+"""Random frames and windows of a recording, and the outputs of an encoder's frozen blocks."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+from koop_service.learning.hardware import Hardware
+from koop_service.learning.recording import Recording
+
+_IMAGES = 200  # frames that the frozen blocks see at a time
+
+
+@dataclass(frozen=True, eq=False)
+class Batch:
+    """B windows of L frames.
+
+    `inputs` (B L, c, h, w) are what the trained part of the encoder sees; `images` (B, L, 64, 64)
+    uint8; `controls` (B, L-1, p) float32.
+    """
+
+    inputs: Tensor
+    images: Tensor
+    controls: Tensor
+
+
+def random_frames(recording: Recording, count: int, rng: np.random.Generator) -> Tensor:
+    """(count, 1, 64, 64) in [0, 1]."""
+    trajectories, length = recording.frames.shape[:2]
+    which, when = rng.integers(trajectories, size=count), rng.integers(length, size=count)
+    return as_images(torch.from_numpy(recording.frames[which, when]))
+
+
+def as_images(frames: Tensor) -> Tensor:
+    """(B, 1, 64, 64) in [0, 1] of uint8 frames (B, 64, 64), as the network likes them."""
+    images = frames[:, None].float().div_(255)
+    return images.contiguous(memory_format=torch.channels_last)
+
+
+class Windows:
+    """Random windows of a recording.
+
+    Where blocks are frozen, their outputs (`trunk`'s) are computed once and held in bfloat16. If
+    `memory` bytes do not hold those of all trajectories, the trajectories are dealt into parts of
+    equal size, and training goes through the parts one after the other.
+    """
+
+    def __init__(
+        self,
+        recording: Recording,
+        trunk: nn.Sequential,
+        memory: float,
+        hardware: Hardware,
+        seed: int,
+    ) -> None:
+        self._recording, self._trunk, self._hardware = recording, trunk, hardware
+        self._features: Tensor | None = None
+        self._parts = [np.arange(len(recording.frames))]
+        self._part = 0
+        if len(trunk):
+            self._features = self._room(memory)
+            order = np.random.default_rng([seed, 0]).permutation(len(recording.frames))
+            self._parts = np.array_split(order, -(-len(order) // len(self._features)))
+            self._part = -1
+
+    @property
+    def parts(self) -> int:
+        """How many parts there are, of one or more trajectories."""
+        return len(self._parts)
+
+    @property
+    def first(self) -> np.ndarray:
+        """The trajectories of the first part, which is the largest."""
+        return self._parts[0]
+
+    @property
+    def held(self) -> np.ndarray:
+        """The trajectories that windows are drawn from now."""
+        return self._parts[self._part]
+
+    def go_to(self, part: int) -> None:
+        """Draw from the trajectories of `part` from now on."""
+        if part != self._part:
+            self._part = part
+            for row, trajectory in enumerate(self.held):
+                self._hold(row, self._recording.frames[trajectory])
+
+    def draw(self, count: int, length: int, rng: np.random.Generator) -> Batch:
+        """`count` windows of `length` frames."""
+        total = self._recording.frames.shape[1]
+        rows = rng.integers(len(self.held), size=count)
+        starts = rng.integers(total - length + 1, size=count)
+        windows = [
+            (row, self.held[row], start, start + length)
+            for row, start in zip(rows, starts, strict=True)
+        ]
+        frames, controls = self._recording.frames, self._recording.controls
+        frames = np.stack([frames[i, a:b] for _, i, a, b in windows])
+        controls = np.stack([controls[i, a : b - 1] for _, i, a, b in windows])
+        images = torch.from_numpy(frames).to(self._hardware.device)
+        if self._features is None:
+            inputs = as_images(images.flatten(0, 1))
+        else:
+            features = torch.stack([self._features[row, a:b] for row, _, a, b in windows])
+            inputs = features.flatten(0, 1).permute(0, 3, 1, 2).to(self._hardware.precision)
+        return Batch(inputs, images, torch.from_numpy(controls).float().to(self._hardware.device))
+
+    def _room(self, memory: float) -> Tensor:
+        """(trajectories, T, h, w, c) for as many trajectories as `memory` holds."""
+        trajectories, length = self._recording.frames.shape[:2]
+        outputs = self._outputs(self._recording.frames[0, :2])
+        fitting = int(memory // (length * outputs[0].numel() * 2))
+        if fitting < 1:
+            raise ValueError(
+                f"the preset's memory leaves {memory / 1e9:.1f} GB for the outputs of the frozen "
+                "blocks, too little for a trajectory; train on a smaller recording"
+            )
+        # As many in each part, and no more room than the largest needs.
+        rows = -(-trajectories // -(-trajectories // fitting))
+        shape = (rows, length, *outputs.shape[1:])
+        return torch.empty(shape, dtype=torch.bfloat16, device=self._hardware.device)
+
+    def _hold(self, row: int, frames: np.ndarray) -> None:
+        assert self._features is not None
+        for start in range(0, len(frames), _IMAGES):
+            outputs = self._outputs(frames[start : start + _IMAGES])
+            self._features[row, start : start + _IMAGES] = outputs
+
+    @torch.no_grad()
+    def _outputs(self, frames: np.ndarray) -> Tensor:
+        """(B, h, w, c) of frames (B, 64, 64)."""
+        images = as_images(torch.from_numpy(frames).to(self._hardware.device))
+        return self._trunk(images).permute(0, 2, 3, 1)
