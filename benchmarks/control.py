@@ -2,11 +2,15 @@
 
 Random affine models of 8 codes, history 2 and one control at the edge of stability, tracking random
 targets. The bounds cut off the largest 40% of the unbounded controls. Everything runs on one core,
-the peers in turn with koop on the same problems:
+the peers in turn with koop on the same problems, the paper's eq. 13 without a weight of its own on
+the end:
 
 - the full form: ProxQP over codes and controls, the dynamics as equality constraints;
 - scipy's L-BFGS-B on the condensed cost;
 - the Riccati recursion, which knows no bounds.
+
+Besides: bounds on the rate of a third of the bounds, the same at the next step from the last
+solution, and the terminal weight of the infinite horizon.
 
     python benchmarks/control.py
 """
@@ -21,7 +25,8 @@ os.environ.update(dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1"
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,11 +36,13 @@ from scipy.optimize import minimize
 from koop_service.control.problem import CondensedQP, build_lqr
 from koop_service.control.riccati import lqr_riccati
 from koop_service.control.solve import QPSolution, solve_qp
+from koop_service.control.weights import LqrWeights, terminal_weight
 from koop_service.prediction.model import LinearModel
 from koop_service.prediction.rollout import rollout
 from koop_service.prediction.uncertainty import rollout_std
 
 Array = NDArray[np.float64]
+Problem = TypeVar("Problem")
 
 CODES, HISTORY, CONTROLS = 8, 2, 1
 CONTROL_WEIGHT = 0.1
@@ -54,7 +61,17 @@ class Case:
     bound: float
 
     def build(self) -> CondensedQP:
-        return build_lqr(*self.arguments(), -self.bound, self.bound)
+        return build_lqr(*self.arguments(), -self.bound, self.bound, Qf=None)
+
+    def build_with_rates(self) -> CondensedQP:
+        rates = {"du_min": -self.bound / 3, "du_max": self.bound / 3, "last_control": 0.0}
+        return build_lqr(*self.arguments(), -self.bound, self.bound, Qf=None, **rates)
+
+    def next(self, control: Array) -> Case:
+        """The case one step later, of codes that are a little off the prediction."""
+        code = rollout(self.model, self.history, control[None])
+        noise = 1e-3 * np.random.default_rng(0).normal(size=code.shape)
+        return replace(self, history=np.concatenate([self.history[1:], code + noise]))
 
     def arguments(self) -> tuple[LinearModel, Array, Array, int, float, float]:
         return self.model, self.history, self.target, self.horizon, 1.0, CONTROL_WEIGHT
@@ -67,6 +84,7 @@ def main() -> None:
     short = [random_case(rng, 10) for _ in range(options.problems)]
     long = [random_case(rng, 40) for _ in range(options.problems)]
     figures = lqr_figures(short, "") | lqr_figures(long, "_n40") | peer_figures(short)
+    figures |= rate_figures(short, "") | rate_figures(long, "_n40")
     figures |= accuracy_figures(short + long) | forecast_figures(short)
     print_table(figures)
     if options.json:
@@ -88,7 +106,7 @@ def random_case(rng: np.random.Generator, horizon: int) -> Case:
     # Dividing the block of lag i by radius^i divides every pole by the radius.
     model = LinearModel(A / np.repeat(radius ** np.arange(HISTORY, 0, -1.0), CODES), B, c)
     history, target = rng.normal(size=(HISTORY, CODES)), rng.normal(size=CODES)
-    free = lqr_riccati(model, history, target, horizon, 1.0, CONTROL_WEIGHT)
+    free = lqr_riccati(model, history, target, horizon, 1.0, CONTROL_WEIGHT, Qf=None)
     return Case(
         model, history, target, horizon, float(np.quantile(np.abs(free), 1 - BOUNDED_SHARE))
     )
@@ -97,6 +115,15 @@ def random_case(rng: np.random.Generator, horizon: int) -> Case:
 def koop(case: Case) -> QPSolution:
     """What the service does to answer: check the arguments, condense, solve, check the answer."""
     return solve_qp(case.build())
+
+
+def koop_with_rates(case: Case) -> QPSolution:
+    return solve_qp(case.build_with_rates())
+
+
+def end_weight(case: Case) -> Array:
+    weights = LqrWeights.parse(1.0, CONTROL_WEIGHT, CODES, CONTROLS)
+    return terminal_weight(case.model, weights)
 
 
 def full_form(case: Case) -> Array:
@@ -139,10 +166,10 @@ def scipy_condensed(case: Case) -> Array:
 
 
 def riccati(case: Case) -> Array:
-    return lqr_riccati(*case.arguments())
+    return lqr_riccati(*case.arguments(), Qf=None)
 
 
-def milliseconds(function: Callable[[Case], object], cases: list[Case]) -> Array:
+def milliseconds(function: Callable[[Problem], object], cases: list[Problem]) -> Array:
     """Time of each call, after a round to warm up."""
     for case in cases[:10]:
         function(case)
@@ -169,6 +196,27 @@ def lqr_figures(cases: list[Case], suffix: str) -> dict[str, float]:
     }
 
 
+def rate_figures(cases: list[Case], suffix: str) -> dict[str, float]:
+    """With bounds on the rate; then at the next step, cold and from the last solution."""
+    whole = np.concatenate([milliseconds(koop_with_rates, cases) for _ in range(3)])
+    solutions = [koop_with_rates(case) for case in cases]
+    pairs = [(case.next(last.u[0]).build(), last) for case in cases for last in [koop(case)]]
+    nearly = [0.333 * case.bound for case in cases]
+    active = [np.abs(np.diff(s.u[:, 0])) >= near for s, near in zip(solutions, nearly, strict=True)]
+    warm = [solve_qp(qp, last) for qp, last in pairs]
+    return {
+        f"rates{suffix}_ms": float(np.median(whole)),
+        f"rates{suffix}_p99_ms": float(np.quantile(whole, 0.99)),
+        f"rates_active{suffix}": float(np.mean(active)),
+        f"rates_kkt_max{suffix}": max(s.kkt_residual for s in solutions),
+        f"rates_unsolved{suffix}": sum(s.status != "solved" for s in solutions),
+        f"warm{suffix}_ms": float(np.median(milliseconds(lambda pair: solve_qp(*pair), pairs))),
+        f"cold{suffix}_ms": float(np.median(milliseconds(lambda pair: solve_qp(pair[0]), pairs))),
+        f"warm_share{suffix}": float(np.mean([s.warm for s in warm])),
+        f"end_weight{suffix}_ms": float(np.median(milliseconds(end_weight, cases))),
+    }
+
+
 def peer_figures(cases: list[Case]) -> dict[str, float]:
     """Medians of koop and peers, in turn within each round, and how far their controls differ."""
     peers = {"koop": koop, "full_form": full_form, "scipy": scipy_condensed, "riccati": riccati}
@@ -191,7 +239,7 @@ def accuracy_figures(cases: list[Case]) -> dict[str, float]:
     for case in cases:
         u = riccati(case)
         wide = 1.5 * float(np.abs(u).max())
-        solution = solve_qp(build_lqr(*case.arguments(), -wide, wide))
+        solution = solve_qp(build_lqr(*case.arguments(), -wide, wide, Qf=None))
         apart.append(float(np.abs(solution.u - u).max()))
     return {"riccati_difference": max(apart)}
 
@@ -222,6 +270,15 @@ def print_table(f: dict[str, float]) -> None:
         "controls on a bound": ("active_share{}", ".0%"),
         "largest KKT residual, relative": ("kkt_max{}", ".1e"),
         "problems not solved": ("unsolved{}", ".0f"),
+        "with bounds on the rate, median [ms]": ("rates{}_ms", ".3f"),
+        "  99th percentile with them [ms]": ("rates{}_p99_ms", ".3f"),
+        "  changes on a bound": ("rates_active{}", ".0%"),
+        "  largest KKT residual, relative": ("rates_kkt_max{}", ".1e"),
+        "  problems not solved": ("rates_unsolved{}", ".0f"),
+        "solving the next step, cold, median [ms]": ("cold{}_ms", ".3f"),
+        "  from the last solution, median [ms]": ("warm{}_ms", ".3f"),
+        "  share for which that was enough": ("warm_share{}", ".0%"),
+        "terminal weight, median [ms]": ("end_weight{}_ms", ".3f"),
     }
     for label, (name, form) in rows.items():
         print(f"{label:44}{f[name.format('')]:>12{form}}{f[name.format('_n40')]:>12{form}}")

@@ -4,14 +4,14 @@ The cost of going on from x = [z_{t-h+1}; ...; z_t] with the best controls is x^
 a constant. The linear term carries the target and the model's constant.
 """
 
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from koop_service.prediction.model import LinearModel
 
-from .problem import LqrProblem
+from .objective import LqrProblem
 
 Array = NDArray[np.float64]
 
@@ -39,33 +39,39 @@ class _Policy(NamedTuple):
 
 
 def lqr_riccati(
-    model: LinearModel, history: Array, target: Array, horizon: int, Q: ArrayLike, R: ArrayLike
+    model: LinearModel,
+    history: Array,
+    target: ArrayLike,
+    horizon: int,
+    Q: ArrayLike,
+    R: ArrayLike,
+    *,
+    Qf: ArrayLike | Literal["riccati"] | None = "riccati",
 ) -> Array:
-    """Controls (N, p) that minimise eq. 13 from `history` (h, n) to `target` (n,); no bounds.
+    """Controls (N, p) that minimise eq. 13 from `history` (h, n) to `target`; no bounds.
 
     Arguments and errors as in `build_lqr`.
     """
-    problem = LqrProblem.parse(model, history, target, horizon, Q, R)
+    problem = LqrProblem.parse(model, history, target, horizon, Q, R, Qf)
     dynamics = _Dynamics(model.companion(), model.companion_input(), model.companion_offset())
     return _forward(dynamics, problem.history.reshape(-1), _backward(dynamics, problem))
 
 
 def _backward(dynamics: _Dynamics, problem: LqrProblem) -> list[_Policy]:
     """Policies for t = 0 ... N-1, from the last step back."""
-    hn = len(dynamics.F)
-    value = _Value(np.zeros((hn, hn)), np.zeros(hn))
+    value = _Value(problem.Qf, -problem.Qf @ problem.last_state)
     policies: list[_Policy] = []
-    for _ in range(problem.horizon):
-        # What z_{t+1} costs itself joins what follows it; z_0 is given and costs nothing.
-        value = _with_stage(value, problem.weights.Q, problem.target)
+    for t in range(problem.horizon - 1, -1, -1):
         policy = _minimise(dynamics, value, problem.weights.R)
         value = _step_back(dynamics, value, policy, problem.weights.R)
         policies.append(policy)
+        if t > 0:  # z_0 is given and costs nothing
+            value = _with_stage(value, problem.weights.Q, problem.targets[t - 1])
     return policies[::-1]
 
 
 def _with_stage(value: _Value, Q: Array, target: Array) -> _Value:
-    """Add (z - z_f)^T Q (z - z_f) on the newest code z of the state, less its constant."""
+    """Add (z - r)^T Q (z - r) on the newest code z of the state, less its constant."""
     n = len(target)
     P, q = value.P.copy(), value.q.copy()
     P[-n:, -n:] += Q

@@ -1,9 +1,14 @@
-"""What the codes' and the controls' deviations cost (Q and R of eq. 13)."""
+"""What the codes' and the controls' deviations cost (Q and R of eq. 13), and the end (Qf)."""
 
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+
+from koop_service.prediction.model import LinearModel
+
+from .stationary import state_weight, stationary_cost
 
 Array = NDArray[np.float64]
 
@@ -43,6 +48,29 @@ def _matrix(name: str, value: ArrayLike, size: int, *, definite: bool) -> Array:
     else:
         _require_semidefinite(name, _eigenvalues(name, weight))
     return weight if weight.ndim == 2 else np.diag(np.broadcast_to(weight, (size,)))
+
+
+def terminal_weight(
+    model: LinearModel, weights: LqrWeights, Qf: ArrayLike | Literal["riccati"] | None = "riccati"
+) -> Array:
+    """The last step's weight (hn, hn), on the deviation of x_N from rest at the target.
+
+    "riccati": what going on for ever costs (`stationary_cost`), where a control can make the model
+    stable; else, and for None, Q on the last code as on any other. A number, (n,) or (n, n) is a
+    weight on the last code, (hn, hn) one on the last h codes. Raises ValueError as for Q.
+
+    It takes about as long as the QP: whoever plans at every frame may keep it for some frames.
+    """
+    if isinstance(Qf, str):
+        if Qf != "riccati":
+            raise ValueError(f'Qf is {Qf!r}; expected "riccati", a weight or None')
+        cost = stationary_cost(model, weights.Q, weights.R)
+        return state_weight(model, weights.Q) if cost is None else cost
+    n, hn = model.A.shape
+    if Qf is not None and np.shape(Qf) == (hn, hn):
+        return _matrix("Qf", Qf, hn, definite=False)
+    last = weights.Q if Qf is None else _matrix("Qf", Qf, n, definite=False)
+    return state_weight(model, last)
 
 
 def _eigenvalues(name: str, weight: Array) -> Array:

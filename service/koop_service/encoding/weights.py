@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
+from typing import Any
 
 import torch
 from safetensors import SafetensorError, safe_open
@@ -15,6 +17,7 @@ from torch import Tensor
 
 from koop_service.encoding.autoencoder import IMAGE_SIZE, Autoencoder
 from koop_service.estimation.settings import EstimatorSettings
+from koop_service.prediction.uncertainty import SCALE_HORIZONS
 
 FORMAT = "koop-autoencoder-1"
 FITTED = "fitted"
@@ -25,12 +28,25 @@ DYNAMICS_TENSOR = "dynamics.matrix"
 
 @dataclass(frozen=True)
 class EstimatorDefaults:
-    """The estimator settings that a model was trained and evaluated with."""
+    """The estimator settings that a model was trained and evaluated with.
+
+    `band_scale`: factors of a prediction's standard deviations at `SCALE_HORIZONS`, measured on
+    held-out trajectories with these settings; empty where none were.
+    """
 
     history: int = 2
     rho: float = 1e-2
     forgetting: float = 1.0
     affine: bool = True
+    band_scale: tuple[float, ...] = ()
+
+    def __post_init__(self) -> None:
+        good = all(math.isfinite(factor) and factor > 0 for factor in self.band_scale)
+        if not good or len(self.band_scale) not in (0, len(SCALE_HORIZONS)):
+            raise ValueError(
+                f"band_scale is {self.band_scale}; expected {len(SCALE_HORIZONS)} positive factors,"
+                f" for {SCALE_HORIZONS} steps ahead, or none"
+            )
 
     def settings(self, code_size: int, control_size: int) -> EstimatorSettings:
         """The estimator settings for codes and controls of these sizes."""
@@ -119,8 +135,14 @@ def _card(path: Path, metadata: Mapping[str, str]) -> ModelCard:
         )
     try:
         fields = json.loads(metadata["card"])
-        fields["estimator"] = EstimatorDefaults(**fields["estimator"])
+        fields["estimator"] = _estimator(fields["estimator"])
         fields["image_shape"] = tuple(fields["image_shape"])
         return ModelCard(**fields)
-    except (KeyError, TypeError, json.JSONDecodeError) as error:
+    except (KeyError, TypeError, ValueError) as error:
         raise ValueError(f"{path} has a model card that cannot be read: {error}") from error
+
+
+def _estimator(fields: Mapping[str, Any]) -> EstimatorDefaults:
+    # JSON has lists, and cards written before bands were calibrated have no factors.
+    known = {"band_scale": (), **fields}
+    return EstimatorDefaults(**{**known, "band_scale": tuple(known["band_scale"])})

@@ -82,7 +82,7 @@ class _Prediction:
 
 def assess(system: System, trained: Trained, test: TestSet) -> Result:
     """Judge every method of a system. Raises ValueError where data and weights do not fit."""
-    _check(trained.codec, test)
+    check_fit(trained.codec, test)
     frames, controls = test.recording.frames, test.recording.controls
     codes = encode(trained.codec, frames)
     errors: dict[str, Array] = {}
@@ -119,7 +119,8 @@ def encode(codec: ImageCodec, frames: NDArray[np.uint8]) -> Array:
     return np.stack([codec.encode(trajectory) for trajectory in frames])
 
 
-def _check(codec: ImageCodec, test: TestSet) -> None:
+def check_fit(codec: ImageCodec, test: TestSet) -> None:
+    """Raise ValueError where the model was trained on other pictures than the test set holds."""
     card, recording = codec.card, test.recording
     if (card.renderer, card.dt) != (recording.renderer, recording.dt):
         raise ValueError(

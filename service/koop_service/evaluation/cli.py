@@ -8,12 +8,13 @@ import sys
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from importlib import resources
 from pathlib import Path
 from typing import Annotated
 
 import numpy as np
 import tyro
+
+from koop_service.encoding.catalogue import bundled_folder
 
 try:
     from koop_service.evaluation.assessment import Result, assess
@@ -21,15 +22,13 @@ try:
     from koop_service.evaluation.figures import FIGURES, RESIDUAL_CAPTION, RESIDUAL_FIGURE
     from koop_service.evaluation.report import Report
     from koop_service.evaluation.residual import TrainingLog, draw_residuals, read_log
+    from koop_service.evaluation.studies import command as studies
+    from koop_service.evaluation.studies.outcome import with_studies
     from koop_service.evaluation.systems import FIRST_TEST_SEED, System, chosen
     from koop_service.evaluation.table import as_json, write_csv
     from koop_service.evaluation.trained import MissingWeightsError, load, weights_path
 except ModuleNotFoundError as error:
     sys.exit(f"koop-eval needs {error.name}: pip install 'koop[train]'")
-
-
-def _bundled() -> Path:
-    return Path(str(resources.files("koop_service"))) / "weights"
 
 
 @dataclass(frozen=True)
@@ -44,7 +43,7 @@ class Prediction:
     """Folder for the figures, table.csv and report.md."""
     data: Path = field(default_factory=cache_folder)
     """Folder that keeps the test sets."""
-    weights: Path = field(default_factory=_bundled)
+    weights: Path = field(default_factory=bundled_folder)
     """Folder of the weights, with the baselines' in `baselines` and the training logs (.csv)."""
     seed: int = FIRST_TEST_SEED
     """Seed of the test sets, from 1000 up: lower ones are for training."""
@@ -68,9 +67,13 @@ class _Findings:
 
 def main() -> None:
     """Entry point."""
-    arguments = tyro.extras.subcommand_cli_from_dict({"prediction": Prediction}, prog="koop-eval")
+    commands = {"prediction": Prediction, "studies": studies.Studies}
+    arguments = tyro.extras.subcommand_cli_from_dict(commands, prog="koop-eval")
     try:
-        run(arguments)
+        if isinstance(arguments, studies.Studies):
+            studies.run(arguments)
+        else:
+            run(arguments)
     except (OSError, ValueError) as error:
         sys.exit(f"koop-eval: {error}")
 
@@ -89,7 +92,8 @@ def run(arguments: Prediction) -> None:
     write_csv(found.results, arguments.out / "table.csv")
     drawn = _draw(found, {system.name for system in systems}, arguments.out)
     report = Report(found.results, found.logs, drawn, _command(arguments), found.notes)
-    (arguments.out / "report.md").write_text(report.markdown(), encoding="utf-8")
+    page = with_studies(report.markdown(), arguments.out, list(studies.STUDIES))
+    (arguments.out / "report.md").write_text(page, encoding="utf-8")
     print(f"wrote {arguments.out / 'report.md'}, table.csv and {len(drawn)} figures")
     if arguments.json:
         print(json.dumps(as_json(found.results)))

@@ -25,6 +25,7 @@ from koop_service.encoding.weights import (
 
 try:
     from koop_service.learning import hardware
+    from koop_service.learning.bands import band_scale
     from koop_service.learning.evaluation import encode_all, evaluate, select
     from koop_service.learning.parallel import joined
     from koop_service.learning.presets import PRESETS, Preset, with_regime
@@ -87,6 +88,7 @@ def main() -> None:
 
 def run(arguments: Arguments) -> None:
     """Load, train, judge on held-out trajectories, and write the weights."""
+    hardware.keep_freed_memory()
     if arguments.threads:
         torch.set_num_threads(arguments.threads)
     _check_writable(arguments.out)
@@ -119,7 +121,8 @@ def finish(session: Session, card: ModelCard) -> None:
     card = dataclasses.replace(card, figures={**card.figures, **view.errors()})
     save_weights(files.out, training.model, card, training.dynamics.matrix)
     files.checkpoint.unlink(missing_ok=True)
-    print(f"wrote {files.out}, {files.log.name}, {files.strip.name}: {summary(card, training)}")
+    beside = [path.name for path in (files.log, files.strip) if path.exists()]
+    print(f"wrote {', '.join([str(files.out), *beside])}: {summary(card, training)}")
 
 
 def summary(card: ModelCard, training: Training) -> str:
@@ -220,9 +223,10 @@ def _start(path: Path, recording: Recording) -> Autoencoder:
 
 
 def judged(codec: ImageCodec, unseen: Recording) -> ModelCard:
-    """The codec's card with the best estimator settings, and figures, on `unseen`."""
+    """The codec's card with the best estimator settings, calibrated, and figures, on `unseen`."""
     trajectories = encode_all(codec, unseen)
     chosen = select(trajectories, codec.card.estimator)
+    chosen = dataclasses.replace(chosen, band_scale=band_scale(trajectories, chosen))
     figures = dataclasses.asdict(evaluate(codec, trajectories, chosen))
     return dataclasses.replace(codec.card, estimator=chosen, figures=figures)
 

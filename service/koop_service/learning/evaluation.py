@@ -15,29 +15,16 @@ import numpy as np
 
 from koop_service.encoding.image_codec import ImageCodec
 from koop_service.encoding.weights import EstimatorDefaults
-from koop_service.estimation import factor
-from koop_service.estimation.proximal import solve
-from koop_service.estimation.settings import EstimatorSettings
 from koop_service.learning.recording import Recording
-from koop_service.prediction.model import LinearModel
+from koop_service.learning.streaming import Encoded, moments
 from koop_service.prediction.rollout import rollout
 
 HORIZONS = (1, 2, 5, 10, 20)  # frames
-STRIDE = 10  # frames between two predictions that are judged
 
 # What `select` chooses from.
 _FORGETTING = (0.95, 0.97, 0.985, 1.0)
-_RHO = (1e-3, 1e-2, 1e-1, 1.0)
+_RHO = (1e-4, 1e-3, 1e-2, 1e-1)
 _TOLERANCE = 1.1
-
-
-@dataclass(frozen=True, eq=False)
-class Encoded:
-    """One trajectory: `images` (T, H, W) in [0, 1], `codes` (T, n), `controls` (T-1, p)."""
-
-    images: np.ndarray
-    codes: np.ndarray
-    controls: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -120,20 +107,6 @@ def _predictions(
     trajectory: Encoded, defaults: EstimatorDefaults
 ) -> Iterator[tuple[int, np.ndarray]]:
     """(last known frame, predicted codes (K, n)) along one trajectory, as it streams."""
-    codes, controls = trajectory.codes, trajectory.controls
-    settings = defaults.settings(codes.shape[1], controls.shape[1])
-    state, h, ahead = factor.init(settings), settings.history, max(HORIZONS)
-    for t in range(h - 1, len(codes) - 1):
-        if t >= settings.warmup_frames and t % STRIDE == 0 and t + ahead < len(codes):
-            theta = solve(state.R, state.D, settings.rho, settings.solve_iterations)
-            model = LinearModel.from_theta(theta, settings)
-            yield t, rollout(model, codes[t - h + 1 : t + 1], controls[t : t + ahead])
-        factor.update(state, settings, _regressor(codes, controls, t, settings), codes[t + 1])
-
-
-def _regressor(
-    codes: np.ndarray, controls: np.ndarray, t: int, settings: EstimatorSettings
-) -> np.ndarray:
-    """w_t = [z_{t-h+1}; ...; z_t; u_t; 1] (d,)."""
-    past = codes[t - settings.history + 1 : t + 1].ravel()
-    return np.concatenate([past, controls[t], np.ones(int(settings.affine))])
+    settings = defaults.settings(trajectory.codes.shape[1], trajectory.controls.shape[1])
+    for m in moments(trajectory, settings, max(HORIZONS)):
+        yield m.t, rollout(m.model, m.history, m.controls)

@@ -2,9 +2,15 @@
 
 from __future__ import annotations
 
+import ctypes
+import sys
 from dataclasses import dataclass
 
 import torch
+
+# Parameters of glibc's mallopt, and what they are set to [bytes].
+_M_TRIM_THRESHOLD, _KEPT = -1, 2**29
+_M_MMAP_THRESHOLD, _LARGE = -3, 2**25
 
 
 @dataclass(frozen=True)
@@ -18,6 +24,18 @@ class Hardware:
         """The context in which the network computes."""
         mixed = self.precision == torch.bfloat16
         return torch.autocast(self.device.type, torch.bfloat16, enabled=mixed)
+
+
+def keep_freed_memory() -> None:
+    """Have glibc's malloc hold on to what a step frees, since the next one asks for as much.
+
+    Returning it to the kernel and faulting it in again took a fifth of the autoencoder's time.
+    """
+    if sys.platform == "linux":
+        mallopt = getattr(ctypes.CDLL(None), "mallopt", None)  # musl has none
+        if mallopt is not None:
+            mallopt(_M_TRIM_THRESHOLD, _KEPT)
+            mallopt(_M_MMAP_THRESHOLD, _LARGE)
 
 
 def choose(device: str = "auto", precision: str = "auto", local_rank: int = 0) -> Hardware:

@@ -47,6 +47,8 @@ class Bar:
         assert self._bar is not None
         self._bar.set_postfix(_figures(training, loss), refresh=False)
         self._bar.update(loss.frames * self._setting.group.size)
+        if training.step == self._setting.stage(training.stage).steps:
+            self._close()
 
     def _close(self) -> None:
         if self._bar is not None:

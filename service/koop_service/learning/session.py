@@ -11,6 +11,8 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from tqdm import tqdm
+
 from koop_service.learning.checkpoint import checkpoint_path, load_checkpoint, save_checkpoint
 from koop_service.learning.log import Log
 from koop_service.learning.look import Forecast, forecast, save_strip
@@ -132,8 +134,8 @@ class Session:
 
 
 def say(text: str) -> None:
-    """Tell the user, beside the bar."""
-    print(f"koop-train: {text}", file=sys.stderr, flush=True)
+    """Tell the user, above the bar."""
+    tqdm.write(f"koop-train: {text}", file=sys.stderr)
 
 
 @contextmanager

@@ -158,11 +158,7 @@ def _dynamics(training: Training, setting: Setting) -> _Task:
     roll = preset.roll_out(setting.recording.controls.shape[2])
     memory = preset.memory - setting.recording.frames.nbytes
     windows = Windows(setting.recording, trunk, memory, setting.hardware, setting.seed)
-    if windows.parts > 1 and setting.group.leads:
-        setting.tell(
-            f"memory holds the frozen blocks' outputs of {len(windows.first)} trajectories at a "
-            f"time: training goes through {windows.parts} parts of the recording"
-        )
+    _announce(windows, setting)
     objective = DynamicsLoss(head, model, training.dynamics, preset, roll, setting.hardware)
     count = setting.group.share(preset.dynamics.batch)
 
@@ -177,6 +173,18 @@ def _dynamics(training: Training, setting: Setting) -> _Task:
         _start_dynamics(training, setting, windows, objective)
     parameters = [*head.parameters(), *model.decoder.parameters(), *training.dynamics.parameters()]
     return _Task(parameters, [], loss)
+
+
+def _announce(windows: Windows, setting: Setting) -> None:
+    """Say what the user waits for: about a minute for a thousand trajectories."""
+    if not (setting.preset.frozen_blocks and setting.group.leads):
+        return
+    setting.tell(f"computing the frozen blocks' outputs of {len(windows.first)} trajectories")
+    if windows.parts > 1:
+        setting.tell(
+            f"memory holds no more at a time; training goes through {windows.parts} such parts of "
+            "the recording, one after the other"
+        )
 
 
 @torch.no_grad()

@@ -23,7 +23,7 @@ from koop_service.control.problem import build_lqr
 from koop_service.control.solve import QPSolution, solve_qp
 from koop_service.prediction.model import LinearModel
 from koop_service.prediction.rollout import rollout
-from koop_service.prediction.uncertainty import rollout_std
+from koop_service.prediction.uncertainty import calibrated, rollout_std
 from koop_service.serving.trajectories import Trajectory, check_range
 
 Array = NDArray[np.float64]
@@ -37,10 +37,7 @@ def predict(trajectory: Trajectory, query: PredictQuery) -> PredictReply:
     model, history = _model_and_history(trajectory)
     controls = _controls(trajectory, query)
     codes = _finite(rollout(model, history, controls))
-    std = None
-    if "std" in query.returns:
-        posterior = trajectory.posterior()
-        std = _finite(rollout_std(model, history, controls, posterior.S, posterior.R))
+    std = _std(trajectory, model, history, controls) if "std" in query.returns else None
     return PredictReply(
         trajectory.name,
         trajectory.epoch,
@@ -113,6 +110,13 @@ def _model_and_history(trajectory: Trajectory) -> tuple[LinearModel, Array]:
             {"frames": have, "warmup_frames": need},
         )
     return trajectory.model(), history
+
+
+def _std(trajectory: Trajectory, model: LinearModel, history: Array, controls: Array) -> Array:
+    """(H, n): what the posterior says, corrected as the model's held-out trajectories showed."""
+    posterior, card = trajectory.posterior(), trajectory.entry.card
+    std = rollout_std(model, history, controls, posterior.S, posterior.R)
+    return _finite(calibrated(std, card.estimator.band_scale))
 
 
 def _controls(trajectory: Trajectory, query: PredictQuery) -> Array:
@@ -203,9 +207,9 @@ def _target(trajectory: Trajectory, query: LqrQuery) -> tuple[Array, float]:
 
 def _solve(model: LinearModel, history: Array, target: Array, query: LqrQuery) -> QPSolution:
     try:
-        qp = build_lqr(
-            model, history, target, query.horizon, query.q, query.r, query.u_min, query.u_max
-        )
+        # Without a terminal weight the cost is eq. 13's, and closed loops on the simulator succeed.
+        bounds = (query.u_min, query.u_max)
+        qp = build_lqr(model, history, target, query.horizon, query.q, query.r, *bounds, Qf=None)
     except ValueError as error:
         raise ProtocolError(ErrorCode.bad_weights, str(error)) from error
     solution = solve_qp(qp)

@@ -6,8 +6,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from koop_service.control.problem import build_lqr
+from koop_service.control.solve import solve_qp
+from koop_service.control.stationary import state_weight
+from koop_service.prediction.rollout import rollout
 
-from .systems import random_model, random_weight, simulated_cost
+from .systems import closed_loop, pendulum, random_model, random_weight, simulated_cost
 
 SEEDS = st.integers(0, 2**32 - 1)
 
@@ -21,7 +24,7 @@ def test_the_condensed_cost_is_the_simulated_cost(seed, n, h, p, horizon, affine
     model = random_model(rng, n, h, p, affine=affine)
     history, target = rng.normal(size=(h, n)), rng.normal(size=n)
     Q, R = random_weight(rng, n), random_weight(rng, p)
-    qp = build_lqr(model, history, target, horizon, Q, R)
+    qp = build_lqr(model, history, target, horizon, Q, R, Qf=None)
     for scale in (0.0, 1.0, 100.0):
         u = scale * rng.normal(size=(horizon, p))
         expected = simulated_cost(model, history, target, u, Q, R)
@@ -36,7 +39,7 @@ def test_the_gradient_is_that_of_the_simulated_cost(seed, p, horizon):
     model = random_model(rng, 4, 2, p)
     history, target = rng.normal(size=(2, 4)), rng.normal(size=4)
     Q, R = random_weight(rng, 4), random_weight(rng, p)
-    qp = build_lqr(model, history, target, horizon, Q, R)
+    qp = build_lqr(model, history, target, horizon, Q, R, Qf=None)
     u, way = rng.normal(size=(2, horizon, p))
     # The cost is quadratic: a central difference is exact but for rounding, at any step.
     ahead = simulated_cost(model, history, target, u + way, Q, R)
@@ -80,6 +83,121 @@ def test_a_semidefinite_Q_is_welcome():
     root = rng.normal(size=(8, 3))
     qp = build_lqr(random_model(rng), np.ones((2, 8)), np.zeros(8), 4, root @ root.T, 1)
     assert np.linalg.eigvalsh(qp.H).min() >= 2 - 1e-9
+
+
+def test_a_sequence_that_ends_early_rests_on_its_last_code():
+    rng = np.random.default_rng(4)
+    model, history = random_model(rng), rng.normal(size=(2, 8))
+    short = rng.normal(size=(3, 8))
+    long = np.concatenate([short, np.tile(short[-1], (9, 1))])  # 12 rows: those past N are unused
+    one, other = (build_lqr(model, history, target, 6, 1, 1) for target in (short, long))
+    np.testing.assert_array_equal(one.g, other.g)
+    assert one.constant == other.constant
+    assert not np.allclose(one.g, build_lqr(model, history, short[::-1], 6, 1, 1).g)
+
+
+def test_the_last_code_and_the_last_state_may_be_weighted():
+    rng = np.random.default_rng(5)
+    model, history, target = random_model(rng), rng.normal(size=(2, 8)), rng.normal(size=8)
+    Q = random_weight(rng, 8)
+    eq13, code, state = (
+        build_lqr(model, history, target, 7, Q, 1, Qf=Qf)
+        for Qf in (None, Q, state_weight(model, Q))
+    )
+    for other in (code, state):
+        np.testing.assert_allclose(other.H, eq13.H, rtol=1e-12)
+        np.testing.assert_allclose(other.g, eq13.g, rtol=1e-12)
+    heavy = build_lqr(model, history, target, 7, Q, 1, Qf=1e6)
+    ends = [
+        np.linalg.norm(rollout(model, history, solve_qp(qp).u)[-1] - target) for qp in (eq13, heavy)
+    ]
+    assert ends[1] < ends[0]
+
+
+def test_a_model_that_no_control_makes_stable_ends_as_eq13_does():
+    model = random_model(np.random.default_rng(6), radius=1.2)
+    model = type(model)(model.A, 0.0 * model.B, model.c)
+    arguments = (model, np.ones((2, 8)), np.zeros(8), 5, 1, 1)
+    np.testing.assert_array_equal(build_lqr(*arguments).H, build_lqr(*arguments, Qf=None).H)
+
+
+def test_the_first_step_obeys_the_rate_too():
+    model = random_model(np.random.default_rng(7), p=2)
+    arguments = (model, np.ones((2, 8)), np.zeros(8), 3, 1, 1, -1.0, 1.0)
+    rates = {"du_min": [-0.25, -np.inf], "du_max": 0.5}
+    qp = build_lqr(*arguments, **rates, last_control=[0.75, 0.0])
+    np.testing.assert_array_equal(qp.lower, [0.5, -1.0, -1.0, -1.0, -1.0, -1.0])
+    np.testing.assert_array_equal(qp.upper, [1.0, 0.5, 1.0, 1.0, 1.0, 1.0])
+    np.testing.assert_array_equal(qp.rate_lower, [-0.25, -np.inf] * 2)
+    np.testing.assert_array_equal(qp.rate_upper, [0.5] * 4)
+    free = build_lqr(*arguments, **rates)
+    np.testing.assert_array_equal(free.lower, [-1.0] * 6)
+    assert len(build_lqr(*arguments, last_control=0.0).rate_lower) == 0
+
+
+def test_a_last_control_out_of_its_bounds_by_rounding_is_no_contradiction():
+    model = random_model(np.random.default_rng(8))
+    last = 1.0 + 0.1 + 1e-15
+    qp = build_lqr(
+        model, np.ones((2, 8)), np.zeros(8), 3, 1, 1, -1, 1, du_min=-0.1, last_control=last
+    )
+    assert qp.lower[0] == qp.upper[0] == 1.0
+
+
+def test_known_channels_are_what_they_are_given_as():
+    rng = np.random.default_rng(9)
+    model, history = random_model(rng, p=2), rng.normal(size=(2, 8))
+    wind = [5.0, -5.0, 0.5]
+    bounds = {"u_min": -1, "u_max": 1, "du_min": -0.1, "du_max": 0.1, "last_control": [0.0, 9.0]}
+    qp = build_lqr(model, history, np.zeros(8), 5, 1, 1, **bounds, known={1: wind})
+    solution = solve_qp(qp)
+    assert solution.status == "solved"
+    np.testing.assert_array_equal(solution.u[:, 1], [5.0, -5.0, 0.5, 0.5, 0.5])
+    moves = np.abs(np.diff(solution.u[:, 0], prepend=0.0))
+    assert 0.09 < moves.max() <= 0.1 + 1e-12
+
+
+def test_with_preview_a_disturbance_does_less_harm():
+    model, steps = pendulum(p=2), 30
+    gust = np.zeros(steps + 10)
+    gust[12:16] = 20.0
+
+    def cost(preview):
+        def controller(history, _last, t):
+            wind = gust[t : t + 10] if preview else [gust[t]]  # else it is thought to last
+            qp = build_lqr(model, history, np.zeros(2), 10, 1.0, 1e-3, -9, 9, known={1: wind})
+            return solve_qp(qp).u[0]
+
+        codes, controls = closed_loop(model, np.zeros((1, 2)), controller, steps)
+        np.testing.assert_array_equal(controls[:, 1], gust[:steps])
+        return np.sum(codes**2)
+
+    assert cost(preview=True) < 0.8 * cost(preview=False)
+
+
+@pytest.mark.parametrize("h", [1, 2, 3])
+def test_a_moving_target_is_tracked_by_seeing_it_come(h):
+    """An angle that swings, on a plant that needs a torque to lean: a step ahead is too late."""
+    model, steps, N = pendulum(h=h), 60, 12
+    angle = 0.3 * np.sin(0.15 * np.arange(steps + N + 1))
+    path = np.stack([angle, np.gradient(angle, 0.05)], axis=1)
+
+    def error(preview):
+        def controller(history, last, t):
+            ahead = path[t + 1 : t + 1 + N] if preview else path[t]
+            bounds = {"du_min": -3, "du_max": 3, "last_control": last}
+            qp = build_lqr(model, history, ahead, N, [10.0, 1.0], 1e-4, -15, 15, **bounds)
+            solution = solve_qp(qp)
+            assert solution.status == "solved"
+            return solution.u[0]
+
+        codes, controls = closed_loop(model, np.tile(path[0], (h, 1)), controller, steps)
+        assert np.abs(np.diff(controls[:, 0], prepend=0.0)).max() <= 3 + 1e-9
+        assert np.abs(controls).max() <= 15
+        return np.abs(codes[20:, 0] - path[21 : steps + 1, 0]).max()
+
+    assert error(preview=True) < 0.05
+    assert error(preview=False) > 2 * error(preview=True)
 
 
 def bad(**changed):
@@ -126,6 +244,23 @@ def bad(**changed):
         (bad(u_max=-np.inf), "finite control"),
         (bad(u_min=np.nan), "u_min has NaN"),
         (bad(u_max=[1.0, 1.0, 1.0]), "u_max has shape"),
+        (bad(target=np.zeros((0, 8))), r"target has shape \(0, 8\)"),
+        (bad(target=np.zeros((3, 2, 8))), r"target has shape"),
+        (bad(target=np.full((3, 8), np.nan)), "target has NaN"),
+        (bad(Qf="ricatti"), "Qf is 'ricatti'"),
+        (bad(Qf=np.ones(7)), "Qf has shape"),
+        (bad(Qf=np.full(8, np.nan)), "Qf has NaN"),
+        (bad(Qf=-np.eye(16)), "Qf is not positive semidefinite"),
+        (bad(du_min=0.1), "expected du_min <= 0 <= du_max"),
+        (bad(du_max=[1.0, -0.1]), "expected du_min <= 0 <= du_max"),
+        (bad(du_max=np.nan), "du_max has NaN"),
+        (bad(last_control=[0.0, np.nan]), "last_control is"),
+        (bad(last_control=[0.0] * 3), "last_control is"),
+        (bad(u_max=1.0, du_min=-0.5, last_control=2.0), "allow a faster change"),
+        (bad(known={2: 0.0}), "known has channel 2; expected 0 to 1"),
+        (bad(known={0: 0.0, 1: 0.0}), "at least one to decide"),
+        (bad(known={0: []}), r"known\[0\] has shape \(0,\)"),
+        (bad(known={0: [0.0, np.inf]}), r"known\[0\]"),
     ],
 )
 def test_bad_arguments_say_what_was_wrong(arguments, problem):

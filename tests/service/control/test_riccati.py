@@ -15,15 +15,17 @@ from .systems import random_model, random_weight
 SEEDS = st.integers(0, 2**32 - 1)
 
 
-def by_least_squares(model, history, target, horizon, Q, R):
-    """Minimise |Q^{1/2} (z - z_f)|^2 + |R^{1/2} u|^2, the roll-out probed control by control."""
-    p = model.control_size
-    q, r = np.linalg.cholesky(Q).T, np.linalg.cholesky(R).T
+def by_least_squares(model, history, target, horizon, Q, R, Qf):
+    """Minimise |Q^{1/2} (z - z_f)|^2 + |R^{1/2} u|^2 + |Qf^{1/2} (x_N - x_f)|^2, probed by u."""
+    p, h = model.control_size, model.history
+    q, r, f = (np.linalg.cholesky(weight).T for weight in (Q, R, Qf))
 
     def residual(u):
         u = u.reshape(horizon, p)
-        error = rollout(model, history, u) - target
-        return np.concatenate([(error @ q.T).reshape(-1), (u @ r.T).reshape(-1)])
+        codes = rollout(model, history, u)
+        error = (codes - target)[:-1]
+        last = (np.concatenate([history, codes])[-h:] - np.atleast_2d(target)[-1]).reshape(-1)
+        return np.concatenate([(error @ q.T).reshape(-1), (u @ r.T).reshape(-1), f @ last])
 
     offset = residual(np.zeros(horizon * p))
     columns = [residual(unit) - offset for unit in np.eye(horizon * p)]
@@ -39,14 +41,17 @@ def by_least_squares(model, history, target, horizon, Q, R):
     st.integers(1, 12),
     st.booleans(),
 )
-def test_equals_least_squares(seed, n, h, p, horizon, affine):
+def test_it_and_the_qp_equal_least_squares(seed, n, h, p, horizon, affine):
     rng = np.random.default_rng(seed)
     model = random_model(rng, n, h, p, affine=affine)
-    history, target = rng.normal(size=(h, n)), rng.normal(size=n)
-    Q, R = random_weight(rng, n), random_weight(rng, p)
-    u = lqr_riccati(model, history, target, horizon, Q, R)
-    expected = by_least_squares(model, history, target, horizon, Q, R)
-    np.testing.assert_allclose(u, expected, atol=1e-8 * (1 + np.abs(expected).max()))
+    history = rng.normal(size=(h, n))
+    target = rng.normal(size=(horizon, n)) if seed % 2 else rng.normal(size=n)
+    Q, R, Qf = random_weight(rng, n), random_weight(rng, p), random_weight(rng, h * n)
+    expected = by_least_squares(model, history, target, horizon, Q, R, Qf)
+    u = lqr_riccati(model, history, target, horizon, Q, R, Qf=Qf)
+    qp = build_lqr(model, history, target, horizon, Q, R, Qf=Qf)
+    for found in (u, solve_qp(qp).u):
+        np.testing.assert_allclose(found, expected, atol=1e-8 * (1 + np.abs(expected).max()))
 
 
 @settings(deadline=None, max_examples=50)

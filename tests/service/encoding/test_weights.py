@@ -1,5 +1,6 @@
 """Weights files: what is written is read, and what does not fit is refused with a reason."""
 
+import dataclasses
 import json
 
 import pytest
@@ -21,7 +22,7 @@ CARD = ModelCard(
     system="cartpole",
     renderer="koop-sdf-1",
     dt=0.05,
-    estimator=EstimatorDefaults(rho=0.1, forgetting=0.98),
+    estimator=EstimatorDefaults(rho=0.1, forgetting=0.98, band_scale=(1.0, 0.9, 0.5, 0.3, 0.25)),
     training={"seed": 3},
 )
 
@@ -56,8 +57,7 @@ def test_somebody_elses_safetensors(tmp_path):
 
 def test_weights_of_another_shape(tmp_path):
     path = tmp_path / "short.safetensors"
-    metadata = {"format": "koop-autoencoder-1", "card": json.dumps(_card_fields())}
-    save_file({"encoder.0.0.weight": torch.zeros(1)}, path, metadata)
+    save_file({"encoder.0.0.weight": torch.zeros(1)}, path, _metadata(_card_fields()))
     with pytest.raises(ValueError, match="does not hold the weights"):
         load_weights(path)
 
@@ -74,6 +74,37 @@ def test_weights_that_are_not_finite(tmp_path):
 def test_a_broken_card(tmp_path):
     path = tmp_path / "card.safetensors"
     save_file({"x": torch.zeros(1)}, path, {"format": "koop-autoencoder-1", "card": "{"})
+    with pytest.raises(ValueError, match="model card that cannot be read"):
+        load_card(path)
+
+
+def test_a_card_from_before_there_were_baselines_is_of_a_fitted_model(tmp_path):
+    path = tmp_path / "old.safetensors"
+    metadata = {"format": "koop-autoencoder-1", "card": json.dumps(_card_fields())}
+    save_file(initialised(8, 0).state_dict(), path, metadata)
+    assert load_weights(path)[1].dynamics == "fitted"
+
+
+def test_a_baseline_is_not_served(tmp_path):
+    path = tmp_path / "baseline.safetensors"
+    card = dataclasses.replace(CARD, dynamics="learned-A")
+    save_weights(path, initialised(8, 0), card, torch.zeros(8, 17))
+    with pytest.raises(ValueError, match=r"baseline with learned-A dynamics.*--dynamics fitted"):
+        _ = ModelEntry("baseline", path, ("*",)).card
+
+
+def test_a_card_from_before_bands_were_calibrated(tmp_path):
+    path = tmp_path / "old.safetensors"
+    old = {**_card_fields(), "estimator": {"rho": 0.5}}
+    save_file({"x": torch.zeros(1)}, path, _metadata(old))
+    assert load_card(path).estimator == EstimatorDefaults(rho=0.5, band_scale=())
+
+
+@pytest.mark.parametrize("scale", [[1.0, 2.0], [1.0, 1.0, 0.0, 1.0, 1.0], 3, ["wide"] * 5])
+def test_a_card_with_impossible_bands(tmp_path, scale):
+    path = tmp_path / "bands.safetensors"
+    card = {**_card_fields(), "estimator": {"band_scale": scale}}
+    save_file({"x": torch.zeros(1)}, path, _metadata(card))
     with pytest.raises(ValueError, match="model card that cannot be read"):
         load_card(path)
 
@@ -95,3 +126,7 @@ def test_fingerprints_tell_weights_apart(saved, tmp_path):
 
 def _card_fields() -> dict:
     return {"system": "s", "renderer": "r", "dt": 0.05, "estimator": {}, "image_shape": [64, 64]}
+
+
+def _metadata(card: dict) -> dict[str, str]:
+    return {"format": "koop-autoencoder-1", "card": json.dumps(card)}

@@ -5,7 +5,7 @@ import pytest
 
 from koop_service.prediction.model import LinearModel
 from koop_service.prediction.rollout import regressors, rollout
-from koop_service.prediction.uncertainty import rollout_std
+from koop_service.prediction.uncertainty import SCALE_HORIZONS, calibrated, rollout_std
 
 NORMAL_90 = 1.6448536269514722
 
@@ -134,3 +134,22 @@ def test_a_diverging_roll_out_is_infinitely_uncertain():
 def test_shapes_that_do_not_fit_are_refused(S, R, problem):
     with pytest.raises(ValueError, match=problem):
         rollout_std(oscillator(), np.ones((2, 2)), np.ones((3, 1)), S, R)
+
+
+SCALE = (1.0, 0.5, 2.0, 3.0, 0.1)
+
+
+def test_calibration_at_its_own_horizons_and_beyond():
+    std = np.linspace([1.0, 2.0], [3.0, 5.0], 30)
+    factors = calibrated(std, SCALE) / std
+    np.testing.assert_allclose(factors[:, 0], factors[:, 1])
+    np.testing.assert_allclose(factors[np.array(SCALE_HORIZONS) - 1, 0], SCALE)
+    np.testing.assert_allclose(factors[SCALE_HORIZONS[-1] :, 0], SCALE[-1])
+    geometric = (np.log(7) - np.log(5)) / (np.log(10) - np.log(5))  # where 7 is between 5 and 10
+    np.testing.assert_allclose(factors[6, 0], 2.0 + geometric)
+
+
+def test_calibration_of_a_horizon_shorter_than_the_first_few_and_of_nothing_known():
+    std = np.ones((1, 2))
+    np.testing.assert_array_equal(calibrated(std, SCALE), std)
+    np.testing.assert_array_equal(calibrated(2 * std, ()), 2 * std)
