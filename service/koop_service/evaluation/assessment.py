@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +22,7 @@ from koop_service.evaluation.metrics import (
     rmse_over_time,
     squared_errors,
 )
+from koop_service.evaluation.selection import with_offline_rho
 from koop_service.evaluation.systems import System
 from koop_service.evaluation.trained import Trained
 from koop_service.learning.dynamics import LearnedDynamics
@@ -134,14 +136,15 @@ def _predictions(
 ) -> Iterator[_Prediction]:
     """Every method that works on codes."""
     yield _Prediction("reconstruction", trained.codec, codes)
-    for method, models, every in _ours(system, _settings(trained.codec, controls)):
+    for method, models, every in _ours(system, _settings(trained.codec, controls), codes, controls):
         predicted = forecast(models, Schedule(system.fit_frames, every), codes, controls)
         yield _Prediction(method, trained.codec, predicted, "reconstruction")
     if trained.baseline is None:
         return
     codec, learned = trained.baseline.codec, trained.baseline.learned
     codes = encode(codec, frames)
-    for method, models, every in _theirs(system, learned, _settings(codec, controls)):
+    settings = _settings(codec, controls)
+    for method, models, every in _theirs(system, learned, settings, codes, controls):
         predicted = forecast(models, Schedule(system.fit_frames, every), codes, controls)
         yield _Prediction(method, codec, predicted, learned.kind)
 
@@ -153,24 +156,33 @@ def _settings(codec: ImageCodec, controls: Array) -> EstimatorSettings:
 Methods = Iterator[tuple[str, Models, int | None]]
 
 
-def _ours(system: System, settings: EstimatorSettings) -> Methods:
+def _ours(system: System, settings: EstimatorSettings, codes: Array, controls: Array) -> Methods:
     """(method, models, frames between updates)."""
     # One fit on a stretch that is all known weighs its frames alike, as eq. 3 does; the model's
     # forgetting is for following a stream.
     once = replace(settings, forgetting=1.0)
+    once = with_offline_rho(Proximal, once, system.fit_frames, codes, controls)
     yield "offline", Proximal(once), None
     yield "partial", Proximal(settings), system.partial_every
     yield "full", Proximal(settings), 1
     yield "svd", TruncatedSVD(once), None
 
 
-def _theirs(system: System, learned: LearnedDynamics, settings: EstimatorSettings) -> Methods:
+def _theirs(
+    system: System,
+    learned: LearnedDynamics,
+    settings: EstimatorSettings,
+    codes: Array,
+    controls: Array,
+) -> Methods:
     if learned.kind == "learned-A":
         yield "learned-A", Constant(learned.matrix, settings), None
         return
+    fit = partial(ConstantControl, learned.matrix)
     once = replace(settings, forgetting=1.0)
-    yield "learned-B", ConstantControl(learned.matrix, once), None
-    following = ConstantControl(learned.matrix, settings)
+    once = with_offline_rho(fit, once, system.fit_frames, codes, controls)
+    yield "learned-B", fit(once), None
+    following = fit(settings)
     yield "learned-B-partial", following, system.partial_every
     yield "learned-B-full", following, 1
 

@@ -85,6 +85,15 @@ def transitions(
         yield _regressor(codes[:, t - h : t], controls[:, t - 1], settings), codes[:, t]
 
 
+def stacked(
+    codes: Array, controls: Array, settings: EstimatorSettings
+) -> Iterator[tuple[Array, Array]]:
+    """W (K, d) and Y (K, n), all the transitions of each trajectory."""
+    pairs = list(transitions(codes, controls, 1, codes.shape[1] - 1, settings))
+    W, Y = (np.stack(part, axis=1) for part in zip(*pairs, strict=True))
+    return zip(W, Y, strict=True)
+
+
 def _regressor(recent: Array, control: Array, settings: EstimatorSettings) -> Array:
     """w (N, d) of the h newest codes (N, h, n) and the control (N, p) that acts after them."""
     count = len(recent)

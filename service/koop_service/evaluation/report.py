@@ -116,9 +116,10 @@ def _method(results: Results) -> str:
         "- Horizons count from the last frame of the fit; until then every method shows the "
         "reconstruction. Decoded pictures are clipped to [0, 1], for every method alike, so a "
         "roll-out that diverges costs a finite error.",
-        "- Offline: one fit on the first frames, all of one weight. Partial: fitted again and "
-        f"restarted every {' or '.join(updates)} frames. Full: at every frame, so one step ahead. "
-        "Both forget as the model card says.",
+        "- Offline: one fit on the first frames, all of one weight, with the rho whose fit to "
+        "their first 60% best predicts the others; learned B likewise. Partial: fitted "
+        f"again and restarted every {' or '.join(updates)} frames. Full: at every frame, so one "
+        "step ahead. Both have the model card's rho and forgetting.",
         "- Truncated SVD: the same regression offline, singular values under "
         f"{SVD_THRESHOLD:g} of the largest cut. Learned A, learned B: their own autoencoders, "
         "trained with them.",

@@ -14,13 +14,14 @@ import tyro
 
 from koop_service.encoding.catalogue import bundled_folder
 from koop_service.evaluation.datasets import cache_folder
-from koop_service.evaluation.studies import calibration, change, noise
+from koop_service.evaluation.studies import calibration, change, noise, size
 from koop_service.evaluation.studies.bench import Bench
 from koop_service.evaluation.studies.outcome import Outcome, with_studies, write
 from koop_service.evaluation.systems import FIRST_TEST_SEED
 
 STUDIES: Mapping[str, Callable[[Bench], Outcome | None]] = {
     "noise": noise.study,
+    "size": size.study,
     "change": change.study,
     "calibration": calibration.study,
 }
