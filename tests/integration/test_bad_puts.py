@@ -125,11 +125,11 @@ def test_the_asker_learns_why_nothing_of_it_was_taken(koop: Loop) -> None:
 
 
 def test_a_trajectory_without_a_model_is_told_how_to_get_one(koop: Loop) -> None:
-    Source(koop.session, "pendulum/0").stream(2)
+    Source(koop.session, "crane/0").stream(2)
     wait_until(lambda: koop.rejected("no_model") == 2)
-    reply = koop.predict("pendulum/0")
+    reply = koop.predict("crane/0")
     assert reply.code == ErrorCode.no_model
-    assert "no model for trajectory 'pendulum/0'" in reply.message
+    assert "no model for trajectory 'crane/0'" in reply.message
     for word in ("koop-dataset", "koop-train", "--models"):
         assert word in reply.message
 

@@ -20,9 +20,9 @@ QUERIES = {
     "misspelt parameter": ("malformed", "koop/predict/cart/0?horizont=3"),
     "unknown trajectory": ("unknown_trajectory", "koop/predict/cart/none"),
     "unknown trajectory's state": ("unknown_trajectory", "koop/state/cart/none"),
-    "no model": ("no_model", "koop/predict/pendulum/0"),
+    "no model": ("no_model", "koop/predict/crane/0"),
     "not a name": ("bad_key", "koop/predict/c~rt"),
-    "nobody matches": ("unknown_trajectory", "koop/predict/pendulum/**"),
+    "nobody matches": ("unknown_trajectory", "koop/predict/crane/**"),
     "lqr without a query": ("malformed", "koop/lqr/cart/0"),
 }
 

@@ -6,9 +6,13 @@ errors add up coherently instead of averaging out: to first order each column of
 train v_0, v_1, ... (v_t = R^{-T} w_t) through the model, while the noise enters once a step. At one
 step this is exactly S (1 + w^T (R^T R)^{-1} w).
 
-That takes the residual for white noise of the plant. An encoder's is not: where most of it is the
-error of single codes it does not add up over the steps, where the plant is not linear it adds up
-faster. `calibrated` makes up for it by what was measured on trajectories held out of training.
+Where measurements say nothing about Theta, that says it is known to within S / rho, rho being the
+prior's weight: far too sure where the residual is small. There the prior pulls Theta toward its
+centre, off by rho (R^T R)^{-1} times what Theta differs from it by, with variance PRIOR_VARIANCE.
+
+All this takes the residual for white noise of the plant. An encoder's is not: where most of it is
+the error of single codes it does not add up over the steps, where the plant is not linear it adds
+up faster. `calibrated` makes up for it by what was measured on trajectories held out of training.
 """
 
 from collections.abc import Sequence
@@ -16,22 +20,28 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from koop_service.estimation.triangular import forward_substitute
+from koop_service.estimation.triangular import back_substitute, forward_substitute
 
 from .model import LinearModel
 from .rollout import forced_response, impulse_response, regressors, rollout
 
 Array = NDArray[np.float64]
 
+PRIOR_VARIANCE = 0.1
+"""Of a coefficient of which nothing is known; of trained models' they have 0.02 to 0.13."""
+
 SCALE_HORIZONS = (1, 2, 5, 10, 20)
 """Steps ahead at which it is measured how much wider or narrower the bands must be."""
 
 
-def rollout_std(model: LinearModel, history: Array, controls: Array, S: Array, R: Array) -> Array:
+def rollout_std(
+    model: LinearModel, history: Array, controls: Array, S: Array, R: Array, rho: float = 0.0
+) -> Array:
     """Standard deviations (H, n) of `rollout(model, history, controls)`, in code units.
 
     S: (n, n) covariance of the one-step residual. R: (d, d) upper triangular, the estimator's
-    factor, R^T R = W W^T + rho I; d = h*n + p, plus 1 when the estimator is affine.
+    factor, R^T R = W W^T + rho I; d = h*n + p, plus 1 when the estimator is affine. rho: the
+    prior's weight; with 0 nothing is added for what the prior decided.
     The measured history is taken as exact. Raises ValueError for shapes that do not fit.
     """
     codes = rollout(model, history, controls)
@@ -41,8 +51,7 @@ def rollout_std(model: LinearModel, history: Array, controls: Array, S: Array, R
     root = _root(S)
     with np.errstate(over="ignore", invalid="ignore"):
         noise = impulse_response(model, root, len(codes))
-        parameters = forced_response(model, _impulses(W, R, root))
-        variance = np.cumsum(_power(noise), axis=0) + _power(parameters)
+        variance = np.cumsum(_power(noise), axis=0) + _parameters(model, W, R, root, rho)
         # A diverging roll-out ends in inf - inf; nothing is known about it then.
         return np.sqrt(np.where(np.isnan(variance), np.inf, variance))
 
@@ -75,11 +84,21 @@ def _root(S: Array) -> Array:
     return vectors * np.sqrt(np.maximum(eigenvalues, 0.0))
 
 
-def _impulses(W: Array, R: Array, root: Array) -> Array:
-    """Forcing (H, n, n*d): at step t, column block j is v_t[j] S^{1/2}."""
-    horizon, d = W.shape
-    V = W.T.copy()
-    forward_substitute(np.ascontiguousarray(R), V)
+def _parameters(model: LinearModel, W: Array, R: Array, root: Array, rho: float) -> Array:
+    """Variances (H, n) of what is not known about Theta: by its posterior, and by its prior."""
+    triangle, V = np.ascontiguousarray(R), W.T.copy()
+    forward_substitute(triangle, V)
+    variance = _power(forced_response(model, _impulses(V, root)))
+    if rho > 0:
+        back_substitute(triangle, V)
+        prior = np.sqrt(PRIOR_VARIANCE) * np.eye(len(root))
+        variance += _power(forced_response(model, _impulses(rho * V, prior)))
+    return variance
+
+
+def _impulses(V: Array, root: Array) -> Array:
+    """Forcing (H, n, n*d) of V (d, H): at step t, column block j is V[j, t] times the root."""
+    d, horizon = V.shape
     return np.einsum("jt,ab->tajb", V, root).reshape(horizon, len(root), d * len(root))
 
 

@@ -115,7 +115,7 @@ def _model_and_history(trajectory: Trajectory) -> tuple[LinearModel, Array]:
 def _std(trajectory: Trajectory, model: LinearModel, history: Array, controls: Array) -> Array:
     """(H, n): what the posterior says, corrected as the model's held-out trajectories showed."""
     posterior, card = trajectory.posterior(), trajectory.entry.card
-    std = rollout_std(model, history, controls, posterior.S, posterior.R)
+    std = rollout_std(model, history, controls, posterior.S, posterior.R, trajectory.settings.rho)
     return _finite(calibrated(std, card.estimator.band_scale))
 
 

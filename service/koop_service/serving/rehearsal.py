@@ -31,5 +31,6 @@ def rehearse(codec: ImageCodec, settings: EstimatorSettings, batch: int) -> None
     model = LinearModel.from_theta(bank.theta(lane), settings)
     model.spectral_radius()
     history, target = np.zeros((h, n)), np.ones(n)
-    rollout_std(model, history, np.zeros((2, p)), bank.covariance(lane), bank.factor(lane).R)
+    S, R = bank.covariance(lane), bank.factor(lane).R
+    rollout_std(model, history, np.zeros((2, p)), S, R, settings.rho)
     solve_qp(build_lqr(model, history, target, 2, 1.0, 1.0, -np.ones(p), np.ones(p)))

@@ -5,7 +5,12 @@ import pytest
 
 from koop_service.prediction.model import LinearModel
 from koop_service.prediction.rollout import regressors, rollout
-from koop_service.prediction.uncertainty import SCALE_HORIZONS, calibrated, rollout_std
+from koop_service.prediction.uncertainty import (
+    PRIOR_VARIANCE,
+    SCALE_HORIZONS,
+    calibrated,
+    rollout_std,
+)
 
 NORMAL_90 = 1.6448536269514722
 
@@ -134,6 +139,42 @@ def test_a_diverging_roll_out_is_infinitely_uncertain():
 def test_shapes_that_do_not_fit_are_refused(S, R, problem):
     with pytest.raises(ValueError, match=problem):
         rollout_std(oscillator(), np.ones((2, 2)), np.ones((3, 1)), S, R)
+
+
+def test_what_the_prior_decides_adds_its_own_doubt():
+    """Against the naive formula: Theta's bias is rho (R^T R)^{-1} times a random Theta."""
+    rng = np.random.default_rng(4)
+    model, history, u = oscillator(), rng.normal(size=(2, 2)), rng.normal(size=(1, 1))
+    w = np.concatenate([history.reshape(-1), u[0]])
+    rho = 0.3
+    past = np.append(rng.normal(size=(40, 4)), np.zeros((40, 1)), axis=1)  # never a control
+    R = np.linalg.qr(np.vstack([past, np.sqrt(rho) * np.eye(5)]))[1]
+    P = np.linalg.inv(R.T @ R)
+    std = rollout_std(model, history, u, COVARIANCE, R, rho)
+    bias = PRIOR_VARIANCE * rho**2 * (w @ P @ P @ w)
+    np.testing.assert_allclose(std[0] ** 2, np.diag(COVARIANCE) * (1 + w @ P @ w) + bias)
+    # Of what a control does nothing is known but what the prior says.
+    assert std[0].min() > np.sqrt(PRIOR_VARIANCE) * abs(u[0, 0])
+
+
+def test_doubt_about_the_prior_also_adds_up_over_the_steps():
+    rng = np.random.default_rng(5)
+    model, horizon, samples, rho = oscillator(), 10, 4000, 0.05
+    history, controls = rng.normal(size=(2, 2)), rng.normal(size=(horizon, 1))
+    R = triangular(rng, 5, 1.0)
+    pull = rho * np.sqrt(PRIOR_VARIANCE) * np.linalg.inv(R.T @ R)
+    still = np.zeros((horizon, 2))
+    ends = [
+        simulate(
+            model_of(theta_of(model, False) + rng.normal(size=(2, 5)) @ pull),
+            history,
+            controls,
+            still,
+        )
+        for _ in range(samples)
+    ]
+    std = rollout_std(model, history, controls, np.zeros((2, 2)), R, rho)
+    np.testing.assert_allclose(np.std(ends, axis=0)[2:], std, rtol=0.05)
 
 
 SCALE = (1.0, 0.5, 2.0, 3.0, 0.1)

@@ -7,7 +7,7 @@ numerical rank of one large model's history matrix W, over the h codes that a re
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 
 import matplotlib as mpl
@@ -24,9 +24,8 @@ from koop_service.evaluation.studies.bench import Bench
 from koop_service.evaluation.studies.outcome import Outcome
 from koop_service.evaluation.systems import SYSTEMS
 from koop_service.evaluation.theme import DPI, QUIET, STYLE, TEXT, name_line, spread_labels
-from koop_service.evaluation.trained import weights_path
 
-SYSTEM, SIZES = "pendulum-low", (2, 4, 6, 8, 12)
+SYSTEM = "pendulum-low"
 HORIZONS = (1.0, 5.0)
 """Times after the fit [s]; the rule looks at the first."""
 TOLERANCE = 1.1
@@ -103,23 +102,34 @@ def _rmse(codec: ImageCodec, codes: Array, frames: np.ndarray) -> float:
 def study(bench: Bench) -> Outcome | None:
     """Every size there is a model of; without any, what the system's own model says."""
     system = SYSTEMS[SYSTEM]
-    folder, frames = bench.weights / "sizes", system.fit_frames
-    paths = {size: folder / f"{SYSTEM}-nz{size}.safetensors" for size in SIZES}
-    codecs = {size: codec for size, p in paths.items() if (codec := bench.codec_at(p))}
-    path = paths[max(codecs)] if codecs else weights_path(bench.weights, system)
-    largest = codecs[max(codecs)] if codecs else bench.codec_at(path)
+    codecs = dict(sorted(_sizes(bench)))
+    source = f"{SYSTEM}-nz{max(codecs)}" if codecs else SYSTEM
+    largest = codecs[max(codecs)] if codecs else bench.codec(system)
     if largest is None:
         return None
     recording = bench.test(system, largest).recording
+    frames = system.fit_frames
     last = frame_at(max(HORIZONS), frames, recording.dt)
     pictures, controls = recording.frames[:, : last + 1], recording.controls[:, :last]
     scores = {size: score(codec, pictures, controls, frames) for size, codec in codecs.items()}
     known = encode(largest, pictures[:, :frames])
-    found = spectrum(known, controls[:, : frames - 1], largest, path.stem)
+    found = spectrum(known, controls[:, : frames - 1], largest, source)
     result = outcome(scores, found, len(pictures))
     by_rank = f"{found.code_size} by the rank of {found.source}'s codes"
     bench.say(f"recommended n_z: {result.table['recommended'] or 'unknown'} by training, {by_rank}")
     return result
+
+
+def _sizes(bench: Bench) -> Iterator[tuple[int, ImageCodec]]:
+    """Each code size that there is a model of, in `sizes` in the folder of the weights."""
+    paths = list((bench.weights / "sizes").glob(f"{SYSTEM}-nz*.safetensors"))
+    if not paths:
+        train = f"koop-train --code-size 4 --out sizes/{SYSTEM}-nz4.safetensors"
+        bench.say(f"there are no sizes/{SYSTEM}-nz*.safetensors ({train}): the rank alone is shown")
+    for path in paths:
+        codec = bench.codec_at(path)
+        if codec is not None:
+            yield codec.code_size, codec
 
 
 def outcome(scores: Mapping[int, Score], found: Spectrum, trajectories: int) -> Outcome:

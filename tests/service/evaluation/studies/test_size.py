@@ -51,14 +51,36 @@ def test_words_and_rows():
     assert "asks for n_z = 6" in alone.text
 
 
-def test_missing_sizes_are_said(tmp_path, data, small_set, small_system, monkeypatch):  # noqa: ARG001
+@pytest.fixture
+def bench(tmp_path, data, small_set, small_system, monkeypatch):  # noqa: ARG001
+    """A folder of weights with a model for pendulum-low, and what is said of it."""
     monkeypatch.setattr(size, "HORIZONS", (0.5, 1.0))
-    card = ModelCard("pendulum", "koop-sdf-1", 0.05)
     (tmp_path / "sizes").mkdir()
-    save_weights(tmp_path / "sizes" / "pendulum-low-nz8.safetensors", initialised(8, 0), card)
-    said = []
-    result = size.study(Bench(tmp_path, data, len(small_set.states), 1000, said.append))
-    assert result is not None
-    assert list(result.table["sizes"]) == ["8"]
-    assert "there is no sizes/pendulum-low-nz2.safetensors: left out" in said
-    assert any(line.startswith("recommended n_z: 8 by training") for line in said)
+    keep(tmp_path / "pendulum-low.safetensors", 8)
+    said: list[str] = []
+    return Bench(tmp_path, data, len(small_set.states), 1000, said.append), said
+
+
+def keep(path, n):
+    save_weights(path, initialised(n, 0), ModelCard("x", "koop-sdf-1", 0.05, code_size=n))
+
+
+def test_every_size_that_there_is(bench):
+    for n in (12, 4):
+        keep(bench[0].weights / "sizes" / f"pendulum-low-nz{n}.safetensors", n)
+    result = size.study(bench[0])
+    assert list(result.table["sizes"]) == ["4", "12"]
+    assert "history matrix of pendulum-low-nz12 has rank" in result.text
+    assert any(line.startswith("recommended n_z: ") for line in bench[1])
+
+
+def test_without_sizes_the_rank_is_shown(bench):
+    result = size.study(bench[0])
+    assert result.table["recommended"] is None
+    assert "history matrix of pendulum-low has rank" in result.text
+    assert any("there are no sizes/pendulum-low-nz*.safetensors" in line for line in bench[1])
+
+
+def test_without_any_model(bench):
+    (bench[0].weights / "pendulum-low.safetensors").unlink()
+    assert size.study(bench[0]) is None
