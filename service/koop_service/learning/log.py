@@ -32,8 +32,10 @@ class Log:
         self._losses: list[tuple[float, float, float]] = []
         self._last = resumed.frames, resumed.seconds
         rows = _rows_until(path, resumed)
-        with path.open("w", newline="") as file:
+        partial = path.with_name(path.name + ".partial")
+        with partial.open("w", newline="") as file:
             csv.writer(file).writerows([COLUMNS, *rows])
+        partial.replace(path)
 
     def __call__(self, training: Training, loss: Loss) -> None:
         """Take one more step's figures, and write a row if it is time."""

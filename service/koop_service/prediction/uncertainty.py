@@ -28,7 +28,7 @@ from .rollout import forced_response, impulse_response, regressors, rollout
 Array = NDArray[np.float64]
 
 PRIOR_VARIANCE = 0.1
-"""Of a coefficient of which nothing is known; of trained models' they have 0.02 to 0.13."""
+"""Of a coefficient of which nothing is known; those of three actuated models have 0.02 to 0.13."""
 
 SCALE_HORIZONS = (1, 2, 5, 10, 20)
 """Steps ahead at which it is measured how much wider or narrower the bands must be."""

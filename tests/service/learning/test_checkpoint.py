@@ -1,6 +1,7 @@
 """A killed training goes on with the same bits; another training's checkpoint is refused."""
 
 import csv
+import json
 import os
 import signal
 import subprocess
@@ -34,23 +35,27 @@ def command(recording: Path, out: Path) -> list[str]:
 
 
 def kill_in(stage: int, recording: Path, out: Path, number: int) -> subprocess.Popen:
-    """Start the command, and signal it once it has a checkpoint in `stage`."""
+    """Start the command, and signal it once it has written a checkpoint in `stage` or later."""
+    before = _written(out)[0]
     process = subprocess.Popen(command(recording, out), stderr=subprocess.PIPE, text=True)
     deadline = time.monotonic() + 100
-    while f'"stage": {stage}' not in _state(out):
-        assert process.poll() is None, process.stderr.read()
+    while _written(out)[0] == before or _written(out)[1] < stage:
+        assert process.poll() is None, f"it ended by itself: {process.stderr.read()}"
         assert time.monotonic() < deadline
         time.sleep(0.01)
     process.send_signal(number)
     return process
 
 
-def _state(out: Path) -> str:
+def _written(out: Path) -> tuple[int, int]:
+    """When the checkpoint was written [ns], and its stage; nothing is older than anything."""
+    path = checkpoint_path(out)
     try:
-        with safe_open(checkpoint_path(out), "pt") as file:
-            return file.metadata()["state"]
-    except (OSError, FileNotFoundError):
-        return ""
+        with safe_open(path, "pt") as file:
+            stage = json.loads(file.metadata()["state"])["stage"]
+        return path.stat().st_mtime_ns, stage
+    except OSError:
+        return 0, -1
 
 
 def same(a: Path, b: Path) -> bool:

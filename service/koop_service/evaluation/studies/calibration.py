@@ -190,7 +190,7 @@ def _panel(axes: Axes, found: Found, level: float) -> None:
     axes.set_xscale("log")
     axes.set_xticks(SCALE_HORIZONS, [str(step) for step in SCALE_HORIZONS])
     axes.minorticks_off()
-    axes.set_ylim(0.2 if level < 0.8 else 0.6, 1.0)
+    axes.set_ylim(0.2 if level < 0.8 else 0.7, 1.0)
     axes.yaxis.set_major_formatter(PercentFormatter(1.0, decimals=0))
     axes.set_xlabel("steps ahead")
     title = f"truth within the {level:.0%} bands (dashed: without the card's factors)"

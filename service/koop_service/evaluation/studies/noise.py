@@ -220,8 +220,8 @@ def _limit(found: Found, disturbance: Disturbance) -> str:
     alone, ours = curves["autoencoder alone"], curves["rho card"]
     return (
         f"Under {disturbance.name} the autoencoder alone errs by {alone[0]:.3f} (clean) to "
-        f"{alone[-1]:.3f}, the {SETTINGS[0].name} by up to {float((ours / alone).max()):.1f} times "
-        "that."
+        f"{alone[-1]:.3f}; predictions {SETTINGS[0].name} err by up to "
+        f"{float((ours / alone).max()):.1f} times that."
     )
 
 
