@@ -50,7 +50,7 @@ class Log:
             training.frames,
             f"{training.seconds:.1f}",
             loss.horizon,
-            *(f"{value:.6g}" for value in np.mean(self._losses, 0)),
+            *(f"{value:.6g}" for value in np.array(self._losses).mean(0)),
             f"{(training.frames - frames) / spent:.1f}",
         ]
         with self._path.open("a", newline="") as file:
