@@ -159,7 +159,7 @@ def test_a_killed_demo_leaves_no_child(tmp_path: Path, number: signal.Signals) -
     children = _wait_for_lines(tmp_path / "pids", 2)
     time.sleep(0.5)  # a child can write before Popen has returned in its parent
     process.send_signal(number)
-    assert process.wait(10) != 0
+    assert process.wait(60) != 0
     for pid in children:
         with pytest.raises(ProcessLookupError):
             os.kill(int(pid), 0)
