@@ -36,6 +36,7 @@ bench: $(TEST_STAMP) ## Print the benchmark tables
 	$(BIN)/python benchmarks/accuracy.py
 	$(BIN)/python benchmarks/control.py
 	$(BIN)/python benchmarks/service.py
+	$(BIN)/python benchmarks/training.py
 
 pins: ## Write constraints.txt anew from the newest versions that pyproject.toml allows
 	rm -rf $(PINS)
