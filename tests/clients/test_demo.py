@@ -149,8 +149,11 @@ def test_a_failed_client_is_told_with_the_service_s_words(
 def test_a_killed_demo_leaves_no_child(tmp_path: Path, number: signal.Signals) -> None:
     child = fake_command(tmp_path, f'trap "" INT; echo $$ >> {tmp_path}/pids; exec sleep 60')
     code = (
+        "import signal\n"
         "from pathlib import Path\n"
         "from koop_clients.demo import processes as p\n"
+        # Where the tests run in a shell's background, SIGINT is inherited as ignored.
+        "signal.signal(signal.SIGINT, signal.default_int_handler)\n"
         f"p.command = lambda _: {str(child)!r}\n"
         "p.end_cleanly_on_sigterm()\n"
         f"with p.service('e', Path({str(tmp_path)!r}), []): p.sim_client('e', [])"
