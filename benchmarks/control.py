@@ -61,11 +61,11 @@ class Case:
     bound: float
 
     def build(self) -> CondensedQP:
-        return build_lqr(*self.arguments(), -self.bound, self.bound, Qf=None)
+        return build_lqr(*self.arguments(), -self.bound, self.bound)
 
     def build_with_rates(self) -> CondensedQP:
         rates = {"du_min": -self.bound / 3, "du_max": self.bound / 3, "last_control": 0.0}
-        return build_lqr(*self.arguments(), -self.bound, self.bound, Qf=None, **rates)
+        return build_lqr(*self.arguments(), -self.bound, self.bound, **rates)
 
     def next(self, control: Array) -> Case:
         """The case one step later, of codes that are a little off the prediction."""
@@ -106,7 +106,7 @@ def random_case(rng: np.random.Generator, horizon: int) -> Case:
     # Dividing the block of lag i by radius^i divides every pole by the radius.
     model = LinearModel(A / np.repeat(radius ** np.arange(HISTORY, 0, -1.0), CODES), B, c)
     history, target = rng.normal(size=(HISTORY, CODES)), rng.normal(size=CODES)
-    free = lqr_riccati(model, history, target, horizon, 1.0, CONTROL_WEIGHT, Qf=None)
+    free = lqr_riccati(model, history, target, horizon, 1.0, CONTROL_WEIGHT)
     return Case(
         model, history, target, horizon, float(np.quantile(np.abs(free), 1 - BOUNDED_SHARE))
     )
@@ -123,7 +123,7 @@ def koop_with_rates(case: Case) -> QPSolution:
 
 def end_weight(case: Case) -> Array:
     weights = LqrWeights.parse(1.0, CONTROL_WEIGHT, CODES, CONTROLS)
-    return terminal_weight(case.model, weights)
+    return terminal_weight(case.model, weights, "riccati")
 
 
 def full_form(case: Case) -> Array:
@@ -166,7 +166,7 @@ def scipy_condensed(case: Case) -> Array:
 
 
 def riccati(case: Case) -> Array:
-    return lqr_riccati(*case.arguments(), Qf=None)
+    return lqr_riccati(*case.arguments())
 
 
 def milliseconds(function: Callable[[Problem], object], cases: list[Problem]) -> Array:
@@ -239,7 +239,7 @@ def accuracy_figures(cases: list[Case]) -> dict[str, float]:
     for case in cases:
         u = riccati(case)
         wide = 1.5 * float(np.abs(u).max())
-        solution = solve_qp(build_lqr(*case.arguments(), -wide, wide, Qf=None))
+        solution = solve_qp(build_lqr(*case.arguments(), -wide, wide))
         apart.append(float(np.abs(solution.u - u).max()))
     return {"riccati_difference": max(apart)}
 

@@ -6,7 +6,7 @@ Limit: float32 matrix products of 1024 x 1024, in the same process, thread count
 share of it: the floating-point operations of one training step, counted by torch (convolutions and
 matrix products, forward and backward; normalisation, pooling and the optimiser are not counted),
 over the time of that step. Repeats of all are interleaved; the medians are shown.
-Memory: the largest resident set of a `koop-train --preset cpu` of 80 steps on a recording of the
+Memory: the largest resident set of a `koop-train --preset cpu` of 220 steps on a recording of the
 usual size (1200 trajectories of 200 frames); most is the recording and what is held of its frozen
 blocks' outputs. No figure depends on what the frames show.
 """
@@ -166,7 +166,7 @@ def memory(trajectories: int, threads: int) -> float:
         path = Path(folder) / "disc.h5"
         write(path, trajectories)
         command = [sys.executable, "-m", "koop_service.learning.cli", str(path)]
-        options = ["--out", f"{folder}/disc.safetensors", "--warm-up=20", "--steps=60"]
+        options = ["--out", f"{folder}/disc.safetensors", "--warm-up=20", "--steps=200"]
         command += [*options, f"--threads={threads}"]
         subprocess.run(command, check=True, stdout=sys.stderr)
     return resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss * 1024 / 1e9

@@ -18,8 +18,11 @@ from numpy.typing import ArrayLike
 from koop_protocol import (
     PREDICTIONS,
     ErrorReply,
+    LqrCancel,
+    LqrEnd,
     LqrQuery,
     LqrReply,
+    LqrTask,
     PredictQuery,
     PredictReply,
     ProtocolError,
@@ -36,7 +39,7 @@ NO_REPLY = "no_reply"
 
 DEFAULT_TIMEOUT = 2.0  # s
 
-R = TypeVar("R", PredictReply, LqrReply, StateReply)
+R = TypeVar("R", PredictReply, LqrReply, LqrEnd, StateReply)
 
 
 class KoopError(Exception):
@@ -120,6 +123,18 @@ class KoopClient:
     def lqr(self, trajectory: str, query: LqrQuery, *, timeout: float | None = None) -> LqrReply:
         """Controls that bring the trajectory to the query's target."""
         return self._ask(LqrReply, lqr_key(trajectory), encode(query), timeout)
+
+    def begin(self, trajectory: str, task: LqrTask, *, timeout: float | None = None) -> LqrReply:
+        """Register a task, or replace its owner's former one; the first plan.
+
+        The owner's liveliness token must be declared: :class:`koop_clients.control.Controller`
+        does so. No task has begun where the reply says that the model is not fit.
+        """
+        return self._ask(LqrReply, lqr_key(trajectory), encode(task), timeout)
+
+    def cancel(self, trajectory: str, owner: str, *, timeout: float | None = None) -> LqrEnd:
+        """End the owner's task."""
+        return self._ask(LqrEnd, lqr_key(trajectory), encode(LqrCancel(owner)), timeout)
 
     def state(self, trajectory: str, *, timeout: float | None = None) -> StateReply:
         """How the trajectory's estimator stands."""

@@ -9,13 +9,14 @@ from __future__ import annotations
 import math
 import re
 import reprlib
+from collections.abc import Collection
 from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
 
 from koop_protocol.errors import ErrorCode, ProtocolError
-from koop_protocol.limits import MAX_SEQUENCE
+from koop_protocol.limits import MAX_ENTRIES, MAX_SEQUENCE
 
 Floats = NDArray[np.float64]
 Image = NDArray[np.uint8] | NDArray[np.float16] | NDArray[np.float32]
@@ -132,6 +133,37 @@ def choices(field: str, value: object, allowed: frozenset[str]) -> frozenset[str
     return frozenset(cast("frozenset[str]", words))
 
 
+def word(field: str, value: object, allowed: Collection[str]) -> str:
+    """One word out of ``allowed``."""
+    if not isinstance(value, str):
+        raise fault(ErrorCode.wrong_type, field, f"is {shown(value)}", "a word")
+    if value not in allowed:
+        expected = f"one of {', '.join(sorted(allowed))}"
+        raise fault(ErrorCode.malformed, field, f"is {shown(value)}", expected)
+    return value
+
+
+def texts(field: str, value: object, max_bytes: int) -> tuple[str, ...]:
+    """Strings, each as in ``text``."""
+    return tuple(text(field, entry, max_bytes) for entry in _entries(field, value))
+
+
+def integers(field: str, value: object, low: int, high: int) -> tuple[int, ...]:
+    """Ints, each as in ``integer``; a vector of numpy integers is taken too."""
+    return tuple(integer(field, entry, low, high) for entry in _entries(field, value))
+
+
+def _entries(field: str, value: object) -> tuple[object, ...]:
+    if isinstance(value, np.ndarray):
+        array = cast(NDArray[np.generic], value)
+        value = list(array) if array.ndim == 1 else None
+    if not isinstance(value, list | tuple):
+        raise fault(ErrorCode.wrong_type, field, f"is {shown(value)}", "a list")
+    entries = tuple(cast("list[object]", value))
+    _fits(field, len(entries), MAX_ENTRIES, "entries")
+    return entries
+
+
 def image(field: str, value: object, max_values: int) -> Image:
     """An image (H, W) or (C, H, W) of at most ``max_values``; uint8, or finite float16 or 32."""
     array = _array(field, value)
@@ -147,6 +179,13 @@ def images(field: str, value: object, max_rows: int, max_values: int) -> Image:
         raise _wrong_shape(field, array, "(N, H, W) or (N, C, H, W)")
     _fits(field, array.shape[0], max_rows, "rows")
     return _image_values(field, array, array.size // array.shape[0], max_values)
+
+
+def image_or_images(field: str, value: object, max_rows: int, max_values: int) -> Image:
+    """One image or several: three axes may be channels or rows, which only its reader can tell."""
+    if _array(field, value).ndim == 2:
+        return image(field, value, max_values)
+    return images(field, value, max_rows, max_values)
 
 
 def vector(field: str, value: object, max_size: int) -> Floats:
@@ -166,6 +205,13 @@ def table(field: str, value: object, max_rows: int, max_columns: int) -> NDArray
     _fits(field, array.shape[0], max_rows, "rows")
     _fits(field, array.shape[1], max_columns, "columns")
     return _float_values(field, array)
+
+
+def vector_or_table(field: str, value: object, max_rows: int, max_size: int) -> Floats:
+    """A finite vector (size,) or several in rows (rows, size), as float64."""
+    if _array(field, value).ndim == 1:
+        return vector(field, value, max_size)
+    return np.asarray(table(field, value, max_rows, max_size), np.float64)
 
 
 def _fits(field: str, size: int, limit: int, unit: str) -> None:

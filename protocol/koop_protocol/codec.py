@@ -1,8 +1,9 @@
 """Messages to bytes and back: the one codec of the protocol.
 
 A message is a msgpack map ``{"v": 1, "type": "frame", ...}`` whose other keys are the fields of
-its dataclass; a field that is None is left out. Unknown keys are ignored, so that a later
-release of the same version can add optional ones.
+its dataclass; a field that is None is left out. A query inside a message is a map of its
+fields alone. Unknown keys are ignored, so that a later release of the same version can add optional
+ones.
 """
 
 from __future__ import annotations
@@ -18,11 +19,15 @@ from koop_protocol.errors import ErrorCode, ProtocolError
 from koop_protocol.limits import DEFAULT_LIMITS, Limits
 from koop_protocol.messages import (
     VERSION,
+    Command,
     Control,
     ErrorReply,
     Frame,
+    LqrCancel,
+    LqrEnd,
     LqrQuery,
     LqrReply,
+    LqrTask,
     Message,
     PredictQuery,
     PredictReply,
@@ -31,7 +36,19 @@ from koop_protocol.messages import (
 from koop_protocol.packing import Buffer, check_packed_size, pack_map, unpack_map
 
 M = TypeVar(
-    "M", Frame, Control, PredictQuery, PredictReply, LqrQuery, LqrReply, StateReply, ErrorReply
+    "M",
+    Frame,
+    Control,
+    PredictQuery,
+    PredictReply,
+    LqrQuery,
+    LqrReply,
+    LqrTask,
+    LqrCancel,
+    Command,
+    LqrEnd,
+    StateReply,
+    ErrorReply,
 )
 
 
@@ -45,9 +62,12 @@ class _Layout:
     required: tuple[str, ...]
     arrays: frozenset[str]
     sets: frozenset[str]
+    queries: frozenset[str]
 
 
-def _layout(name: str, type_: type[Message], arrays: str = "", sets: str = "") -> _Layout:
+def _layout(
+    name: str, type_: type[Message], arrays: str = "", sets: str = "", queries: str = ""
+) -> _Layout:
     parts = fields(type_)
     required = (
         part.name for part in parts if part.default is MISSING and part.default_factory is MISSING
@@ -59,6 +79,7 @@ def _layout(name: str, type_: type[Message], arrays: str = "", sets: str = "") -
         tuple(required),
         frozenset(arrays.split()),
         frozenset(sets.split()),
+        frozenset(queries.split()),
     )
 
 
@@ -67,8 +88,17 @@ _LAYOUTS = (
     _layout("control", Control, "u"),
     _layout("predict_query", PredictQuery, "controls", "returns"),
     _layout("predict_reply", PredictReply, "codes frames std"),
-    _layout("lqr_query", LqrQuery, "target_image target_code q r u_min u_max", "returns"),
-    _layout("lqr_reply", LqrReply, "controls codes frames"),
+    _layout(
+        "lqr_query",
+        LqrQuery,
+        "target_image target_code q r u_min u_max qf du_min du_max known_controls",
+        "returns",
+    ),
+    _layout("lqr_reply", LqrReply, "controls codes frames modes scores information probing"),
+    _layout("lqr_task", LqrTask, queries="query"),
+    _layout("lqr_cancel", LqrCancel),
+    _layout("command", Command, "controls"),
+    _layout("lqr_end", LqrEnd),
     _layout("state", StateReply),
     _layout("error", ErrorReply),
 )
@@ -82,13 +112,8 @@ def encode(message: Message, limits: Limits = DEFAULT_LIMITS) -> bytes:
     Raises:
         ProtocolError: too_large, where they exceed ``limits.max_message_bytes``.
     """
-    layout = _BY_TYPE[type(message)]
-    entries: dict[str, Any] = {"v": VERSION, "type": layout.name}
-    for name in layout.names:
-        value = getattr(message, name)
-        if value is not None:
-            entries[name] = _to_wire(name, value)
-    return check_packed_size(pack_map(entries), limits)
+    head = {"v": VERSION, "type": _BY_TYPE[type(message)].name}
+    return check_packed_size(pack_map(head | _fields_of(message)), limits)
 
 
 def decode(data: Buffer, limits: Limits = DEFAULT_LIMITS) -> Message:
@@ -100,22 +125,7 @@ def decode(data: Buffer, limits: Limits = DEFAULT_LIMITS) -> Message:
         ProtocolError: for everything that can be wrong with the bytes, and nothing else.
     """
     entries = unpack_map(data, limits)
-    layout = _find_layout(entries)
-    found: dict[str, Any] = {}
-    for name in layout.names:
-        value = entries.get(name)
-        if value is not None:
-            found[name] = _from_wire(layout, name, value)
-    for name in layout.required:
-        if name not in found:
-            raise ProtocolError(
-                ErrorCode.malformed,
-                f"the {layout.name} lacks its field {name!r}",
-                f"the fields {', '.join(layout.required)}",
-                "see docs/wire.md",
-                {"field": name},
-            )
-    return layout.type(**found, limits=limits)
+    return _build(_find_layout(entries), entries, limits)
 
 
 def decode_as(type_: type[M], data: Buffer, limits: Limits = DEFAULT_LIMITS) -> M:
@@ -153,20 +163,48 @@ def _find_layout(entries: dict[str, object]) -> _Layout:
     return layout
 
 
+def _build(layout: _Layout, entries: dict[str, object], limits: Limits) -> Message:
+    """The message whose fields are among the entries."""
+    found: dict[str, Any] = {}
+    for name in layout.names:
+        value = entries.get(name)
+        if value is not None:
+            found[name] = _from_wire(layout, name, value, limits)
+    for name in layout.required:
+        if name not in found:
+            raise ProtocolError(
+                ErrorCode.malformed,
+                f"the {layout.name} lacks its field {name!r}",
+                f"the fields {', '.join(layout.required)}",
+                "see docs/wire.md",
+                {"field": name},
+            )
+    return layout.type(**found, limits=limits)
+
+
+def _fields_of(message: Message) -> dict[str, Any]:
+    values = {name: getattr(message, name) for name in _BY_TYPE[type(message)].names}
+    return {name: _to_wire(name, value) for name, value in values.items() if value is not None}
+
+
 def _to_wire(name: str, value: object) -> object:
     if isinstance(value, np.ndarray):
         return array_to_map(name, cast(Array, value))
     if isinstance(value, frozenset):
         return sorted(cast("frozenset[str]", value))
+    if isinstance(value, LqrQuery):
+        return _fields_of(value)
     return value
 
 
-def _from_wire(layout: _Layout, name: str, value: object) -> object:
-    """Arrays and sets out of their wire form; anything else is left to the message's checks."""
+def _from_wire(layout: _Layout, name: str, value: object, limits: Limits) -> object:
+    """Arrays, sets and queries out of their wire form; the rest is left to the message's checks."""
     if name in layout.arrays and isinstance(value, dict):
         return array_from_map(name, cast("dict[str, object]", value))
     if name in layout.sets and isinstance(value, list):
         return _word_set(name, cast("list[object]", value))
+    if name in layout.queries and isinstance(value, dict):
+        return _build(_BY_TYPE[LqrQuery], cast("dict[str, object]", value), limits)
     return value
 
 

@@ -24,9 +24,15 @@ PREDICTIONS = "koop/predict/**"
 LQRS = "koop/lqr/**"
 COMMANDS = "koop/command/**"
 STATES = "koop/state/**"
+CLIENT_TOKENS = "koop/@client/*"
+"""Liveliness tokens of the clients that own tasks."""
+
+MAX_OWNER_LENGTH = 64
+"""Longest name of an owner."""
 
 # "@" is not in the set, so no chunk can be one of Zenoh's verbatim chunks.
 _TRAJECTORY = re.compile(r"[A-Za-z0-9_.-]+(?:/[A-Za-z0-9_.-]+)*", re.ASCII)
+_OWNER = re.compile(r"[A-Za-z0-9_.-]+", re.ASCII)
 _REMEDY = "name the trajectory like 'cartpole/0' or 'line3/robot7'"
 
 
@@ -114,13 +120,45 @@ def lqr_key(name: str) -> str:
 
 
 def command_key(name: str) -> str:
-    """Key on which the service puts closed-loop controls (reserved)."""
+    """Key on which the service puts closed-loop controls, and the end of a task."""
     return f"koop/command/{check_trajectory(name)}"
 
 
 def state_key(name: str) -> str:
     """Key of the trajectory's estimator status."""
     return f"koop/state/{check_trajectory(name)}"
+
+
+def check_owner(name: object) -> str:
+    """Return ``name`` if it names an owner, else raise ProtocolError (wrong_type, bad_key)."""
+    if not isinstance(name, str):
+        raise ProtocolError(
+            ErrorCode.wrong_type, f"the owner's name is of type {type(name).__name__}", "a string"
+        )
+    if len(name) > MAX_OWNER_LENGTH or _OWNER.fullmatch(name) is None:
+        raise ProtocolError(
+            ErrorCode.bad_key,
+            f"{name[: 2 * MAX_OWNER_LENGTH]!r} does not name an owner",
+            f"1 to {MAX_OWNER_LENGTH} letters, digits, '_', '.' or '-'",
+            "draw a name at random when the client starts, for instance 16 hex digits",
+            {"field": "owner"},
+        )
+    return name
+
+
+def client_token(owner: str) -> str:
+    """Key of the liveliness token that an owner declares for as long as it wants commands."""
+    return f"koop/@client/{check_owner(owner)}"
+
+
+def owner_of(token: str) -> str:
+    """The owner whose liveliness token has this key; ProtocolError (bad_key) if it is none."""
+    prefix, _, owner = token.rpartition("/")
+    if f"{prefix}/*" != CLIENT_TOKENS:
+        raise ProtocolError(
+            ErrorCode.bad_key, f"{token[:MAX_NAME_LENGTH]!r} is no owner's token", CLIENT_TOKENS
+        )
+    return check_owner(owner)
 
 
 def parse_key(key: str) -> KoopKey:

@@ -14,20 +14,37 @@ from koop_protocol.predictions import (
     predict_query_from_parameters,
 )
 from koop_protocol.status import ErrorReply, StateReply
+from koop_protocol.tasks import Command, EndReason, LqrCancel, LqrEnd, LqrTask
 
 VERSION = 1
 
 Message = (
-    Frame | Control | PredictQuery | PredictReply | LqrQuery | LqrReply | StateReply | ErrorReply
+    Frame
+    | Control
+    | PredictQuery
+    | PredictReply
+    | LqrQuery
+    | LqrReply
+    | LqrTask
+    | LqrCancel
+    | Command
+    | LqrEnd
+    | StateReply
+    | ErrorReply
 )
 
 __all__ = [
     "VERSION",
+    "Command",
     "Control",
+    "EndReason",
     "ErrorReply",
     "Frame",
+    "LqrCancel",
+    "LqrEnd",
     "LqrQuery",
     "LqrReply",
+    "LqrTask",
     "Message",
     "PredictQuery",
     "PredictReply",

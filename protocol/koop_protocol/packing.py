@@ -16,7 +16,7 @@ from koop_protocol.errors import ErrorCode, ProtocolError
 from koop_protocol.limits import MAX_ENTRIES, MAX_TEXT_BYTES, Limits
 
 MAX_CONTAINERS = 64
-"""Most maps and lists in one message; the largest message of version 1 has 14."""
+"""Most maps and lists in one message; the largest message of version 1 has 26."""
 
 Buffer = bytes | bytearray | memoryview
 

@@ -45,9 +45,9 @@ def check_weights(field: str, value: object, max_size: int, definite: bool) -> W
     return matrix
 
 
-def check_sizes(code: ErrorCode, **parts: Weights | None) -> None:
-    """Check that all given vectors and matrices are about the same number of components."""
-    sizes = {name: part.shape[0] for name, part in parts.items() if isinstance(part, np.ndarray)}
+def check_sizes(code: ErrorCode, **parts: Weights | str | None) -> None:
+    """Check that all given vectors, matrices and rows are of the same number of components."""
+    sizes = {name: part.shape[-1] for name, part in parts.items() if isinstance(part, np.ndarray)}
     if len(set(sizes.values())) > 1:
         raise ProtocolError(
             code,

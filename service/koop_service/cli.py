@@ -11,6 +11,7 @@ import threading
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
+from functools import partial
 
 # The service's matrices are small, and threads for them would fight with the encoder's over the
 # cores: predictions with standard deviations take ten times as long then.
@@ -22,9 +23,10 @@ import zenoh
 from koop_protocol import Limits
 from koop_service.encoding.catalogue import Catalogue, ModelEntry, bundled_or_own
 from koop_service.serving import logs
+from koop_service.serving.commander import Commander
 from koop_service.serving.config import ServiceConfig
 from koop_service.serving.desk import Desk
-from koop_service.serving.endpoint import Endpoint
+from koop_service.serving.endpoint import Endpoint, put_command
 from koop_service.serving.intake import Intake
 from koop_service.serving.measurements import Measurements
 from koop_service.serving.metrics import Metrics
@@ -38,6 +40,7 @@ from koop_service.serving.registry import Registry, settings_for
 from koop_service.serving.rehearsal import rehearse
 from koop_service.serving.session import UnreachableError, locators, open_session
 from koop_service.serving.snapshots import SnapshotStore
+from koop_service.serving.tasks import Tasks
 
 log = logging.getLogger("koop.service")
 
@@ -129,10 +132,14 @@ def _start(
         limits.queue_messages, limits.queue_bytes, limits.queue_queries, metrics.held.inc
     )
     outbox = Outbox(lambda question: _finished(question, intake, metrics), metrics.unsent.inc)
-    desk = Desk(intake, registry, outbox, metrics, wire)
+    tasks = Tasks()
+    commander = Commander(tasks, registry, partial(put_command, session), metrics)
+    desk = Desk(intake, registry, commander, outbox, metrics, wire)
     measurements = Measurements(registry, refusals, metrics, wire)
-    pipeline = Pipeline(intake, measurements, desk, config.compute.batch, metrics.lost.inc)
-    _watch(metrics, intake, registry)
+    pipeline = Pipeline(
+        intake, measurements, desk, commander, config.compute.batch, metrics.lost.inc
+    )
+    _watch(metrics, intake, registry, tasks)
     outbox.start()
     stack.callback(outbox.stop, _LAST_ANSWERS)
     pipeline.start()
@@ -148,11 +155,12 @@ def _finished(question: Question, intake: Intake[Question], metrics: Metrics) ->
     metrics.queries.labels(question.kind).observe(question.age())
 
 
-def _watch(metrics: Metrics, intake: Intake[Question], registry: Registry) -> None:
+def _watch(metrics: Metrics, intake: Intake[Question], registry: Registry, tasks: Tasks) -> None:
     metrics.watch("queue_messages", "Measurements waiting", lambda: intake.depth)
     metrics.watch("queue_queries", "Queries not answered yet", lambda: intake.unanswered)
     metrics.watch("trajectories", "Trajectories held", lambda: len(registry))
     metrics.watch("trajectories_ready", "Trajectories that can be predicted", registry.count_ready)
+    metrics.watch("tasks", "Closed-loop tasks under way", lambda: len(tasks))
 
 
 def _serve_metrics(config: ServiceConfig, metrics: Metrics, stack: ExitStack) -> int | None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import signal
+import sys
 import time
 from collections.abc import Callable, Iterator
 from typing import Any
@@ -12,18 +13,27 @@ import numpy as np
 import pytest
 import zenoh
 
+from koop_clients.connection import open_session
 from koop_clients.mechanics.rendering import Renderer
 from koop_clients.mechanics.simulation import Simulator, State, hold, without_drift
-from koop_clients.mechanics.systems import System
+from koop_clients.mechanics.systems import System, build_system
+from koop_clients.sim_client import cli
+from koop_clients.sim_client.arguments import parse_arguments
+from koop_clients.sim_client.streaming import open_streams
 from koop_protocol import (
+    Command,
     Control,
+    EndReason,
     ErrorReply,
     Frame,
-    LqrQuery,
+    LqrCancel,
+    LqrEnd,
     LqrReply,
+    LqrTask,
     Message,
     PredictQuery,
     PredictReply,
+    command_key,
     decode,
     decode_as,
     encode,
@@ -73,10 +83,18 @@ class Clairvoyant:
 
     So any error that a client finds is a mistake in the client's numbering. Controls fold into the
     state, which therefore is exact only where the torque is held for each frame.
+
+    Attributes:
+        seen: all messages that came.
+        tasks: the one that is registered, if there is one.
+        unfit: how many tasks to refuse still, for lack of a model that is fit for control.
     """
 
     def __init__(self, session: zenoh.Session, system: System, start: State) -> None:
         self.seen: list[Message] = []
+        self.tasks: list[LqrTask] = []
+        self.unfit = 0
+        self._session = session
         self._system = system
         self._simulator, self._renderer = Simulator(system), Renderer(system)
         self._states = [start]
@@ -107,8 +125,10 @@ class Clairvoyant:
     def _take(self, sample: zenoh.Sample) -> None:
         message = decode(bytes(sample.payload))
         self.seen.append(message)
-        if isinstance(message, Frame) and not message.control_size:
-            self._go(message.seq, 0.0)
+        if isinstance(message, Frame):
+            self._command(message)
+            if not message.control_size:
+                self._go(message.seq, 0.0)
         if isinstance(message, Control):
             self._go(message.seq, float(message.u[0]))
 
@@ -138,15 +158,40 @@ class Clairvoyant:
             query.reply(query.key_expr, encode(reply))
 
     def _lqr(self, query: zenoh.Query) -> None:
-        """A stiff PD law to the upright pole, as a plan that repeats its first torque."""
         with query:
-            last = self.frames[-1]
-            asked = decode_as(LqrQuery, bytes(query.payload or b""))
-            state, pole = self._states[last.seq], self._system.pole
-            torque = -40.0 * state.q[pole] - 8.0 * state.v[pole]
-            plan = np.full((asked.horizon, 1), np.clip(torque, asked.u_min, asked.u_max))
-            reply = LqrReply(last.trajectory, last.epoch, last.seq, "solved", 1.0, 0.0, plan)
-            query.reply(query.key_expr, encode(reply))
+            asked = decode(bytes(query.payload or b""))
+            self.seen.append(asked)
+            if isinstance(asked, LqrCancel):
+                last, self.tasks = self.frames[-1], []
+                end = LqrEnd(last.trajectory, asked.owner, EndReason.cancelled, "it said so")
+                query.reply(query.key_expr, encode(end))
+            elif isinstance(asked, LqrTask):
+                query.reply(query.key_expr, encode(self._begin(asked)))
+
+    def _begin(self, task: LqrTask) -> LqrReply:
+        last = self.frames[-1]
+        who = (last.trajectory, last.epoch, last.seq)
+        if self.unfit:
+            self.unfit -= 1
+            why, probing = ("the motor has hardly moved",), np.zeros((4, 1))
+            return LqrReply(*who, "unfit", 0.0, 0.0, fit=False, reasons=why, probing=probing)
+        self.tasks = [task]
+        plan, start = self._plan(task, last.seq), last.seq + task.query.delay
+        return LqrReply(*who, "solved", 1.0, 0.0, plan, start=start)
+
+    def _plan(self, task: LqrTask, seq: int) -> np.ndarray:
+        """A stiff PD law to the upright pole, as a plan that repeats its first torque."""
+        state, pole = self._states[seq], self._system.pole
+        torque = -40.0 * state.q[pole] - 8.0 * state.v[pole]
+        bounded = np.clip(torque, task.query.u_min, task.query.u_max)
+        return np.full((task.query.horizon, 1), bounded)
+
+    def _command(self, frame: Frame) -> None:
+        for task in self.tasks:
+            start, plan = frame.seq + task.query.delay, self._plan(task, frame.seq)
+            who = (frame.trajectory, frame.epoch, frame.seq)
+            command = Command(*who, start, plan, "solved", 1.0, 0.0, task.owner)
+            self._session.put(command_key(frame.trajectory), encode(command))
 
     def _state(self, query: zenoh.Query) -> None:
         with query:
@@ -157,3 +202,36 @@ class Clairvoyant:
 def clairvoyant(hub: zenoh.Session) -> Callable[[System, State], Clairvoyant]:
     """Starts a service that knows the given plant and its initial state."""
     return lambda system, start: Clairvoyant(hub, system, start)
+
+
+@pytest.fixture
+def command(
+    endpoint: str,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    signals: None,
+) -> Callable[..., tuple[str, str]]:
+    """Runs the command; what it said on standard output and standard error."""
+    del signals
+
+    def run(*options: str, rate: str = "max") -> tuple[str, str]:
+        given = ["koop-sim-client", "--connect", endpoint, "--rate", rate, *options]
+        monkeypatch.setattr(sys, "argv", given)
+        cli.main()
+        return capsys.readouterr()
+
+    return run
+
+
+@pytest.fixture
+def knowing(endpoint: str, clairvoyant):
+    """A service that knows the first plant of the given options."""
+
+    def start(*options: str):
+        arguments = parse_arguments(list(options))
+        system = build_system(arguments.system, arguments.physical.given)
+        with open_session(endpoint) as session:
+            streams = open_streams(arguments, system, 0.0, session)
+            return clairvoyant(system, streams[0].plant.state)
+
+    return start

@@ -20,7 +20,7 @@ from koop_clients.demo.verdict import failures, table
 from koop_clients.pictures.film import most_motion
 from koop_clients.pictures.hero import draw_hero
 from koop_clients.pictures.strip import draw_strip
-from koop_clients.sim_client.record import Record
+from koop_clients.sim_client.record import Record, stack_series
 from koop_clients.sim_client.scoring import Forecast, Judged, judge
 
 ERRORS = {"horizons": [1, 20], "error": [0.01, 0.02], "repeat": [0.03, 0.15], "count": 50}
@@ -33,8 +33,15 @@ BURST = {"frames_per_s": 1234.5, "trajectories": 20, "predict": LATENCY}
 
 
 def run(**changes: Any) -> dict[str, Any]:
-    values = {"early": ERRORS, "late": ERRORS, "drive": DRIVE, "predict": LATENCY, "lqr": LATENCY}
+    values = {
+        "early": ERRORS, "late": ERRORS, "drives": [{"outcome": DRIVE}], "predict": LATENCY,
+        "totals": {"command": LATENCY},
+    }  # fmt: skip
     return {**values, **changes}
+
+
+def drives(**changes: Any) -> list[dict[str, Any]]:
+    return [{"outcome": {**DRIVE, **changes}}]
 
 
 def test_a_good_run_has_no_objections() -> None:
@@ -51,9 +58,10 @@ def test_a_good_run_has_no_objections() -> None:
              "(0.1500)"],
         ),
         ({"late": {**ERRORS, "error": [0.01, float("nan")]}}, ["1 s ahead"]),
-        ({"drive": None}, ["the service did not drive"]),
+        ({"drives": [{"outcome": None}]}, ["the service did not drive"]),
+        ({"drives": []}, ["the service did not drive"]),
         (
-            {"drive": {**DRIVE, "success": False, "worst_error_at_end": 3.0}},
+            {"drives": [{"outcome": {**DRIVE, "success": False, "worst_error_at_end": 3.0}}]},
             ["the pole did not stay at its target: 3.00 rad off in the last 2 s"],
         ),
     ],
@@ -72,8 +80,9 @@ def test_the_table_tells_it_in_a_few_lines() -> None:
     assert "upright within 0.1 rad after 1.50 s, 0.020 rad off at worst in the last 2 s" in text
     assert "prediction p50 6.0 ms, p99 12.5 ms" in text
     assert "1234 frames/s from 20 plants" in text
-    bad = {**DRIVE, "success": False, "worst_error_at_end": 2.5}
-    assert "NOT at the target, 2.50 rad off" in table(run(drive=bad), BURST)
+    assert "frame to command          p50 6.0 ms, p99 12.5 ms, a new plan" in text
+    bad = drives(success=False, worst_error_at_end=2.5)
+    assert "NOT at the target, 2.50 rad off" in table(run(drives=bad), BURST)
 
 
 def moving(seq: int, speed: int) -> Judged:
@@ -85,10 +94,9 @@ def moving(seq: int, speed: int) -> Judged:
 
 
 def record(early: list[Judged], late: list[Judged], drive: int = 60) -> Record:
-    return Record(
-        "cartpole", early, late, np.zeros((drive, 64, 64), np.uint8), np.linspace(1, 0, drive),
-        np.linspace(-20, 5, drive), 0.0, 20.0,
-    )  # fmt: skip
+    series = np.linspace((1, 0, -20), (0, 0, 5), drive)
+    frames = np.zeros((drive, 64, 64), np.uint8)
+    return Record("cartpole", early, late, frames, stack_series([series]), 0.0, 20.0)
 
 
 def test_no_easy_forecast_is_picked() -> None:
@@ -111,6 +119,20 @@ def test_a_picture_without_contents_is_refused(tmp_path: Path) -> None:
         draw_hero(record([moving(1, 1)], []), tmp_path / "hero.png")
     with pytest.raises(ValueError, match="stream for longer"):
         draw_strip(record([], []), tmp_path / "strip.png")
+
+
+def test_a_record_comes_back_as_it_was(tmp_path: Path) -> None:
+    series = [np.arange(12.0).reshape(4, 3), np.ones((2, 3))]
+    frames = np.arange(4 * 64 * 64, dtype=np.uint8).reshape(4, 64, 64)
+    kept = Record("cartpole", [moving(4, 1)], [], frames, stack_series(series), 0.3, 20.0)
+    kept.save(tmp_path / "run.npz")
+    found = Record.load(tmp_path / "run.npz")
+    assert np.array_equal(found.drive_frames, frames)
+    assert found.drive_angles.tolist() == [0.0, 3.0, 6.0, 9.0]
+    assert found.drive_torques.tolist() == [2.0, 5.0, 8.0, 11.0]
+    assert found.drives.shape == (2, 4, 3)
+    assert np.isnan(found.drives[1, 2:]).all()
+    assert (found.target, found.torque_bound, found.ahead) == (0.3, 20.0, 20)
 
 
 def test_a_missing_command_is_named() -> None:

@@ -17,8 +17,9 @@ from koop_clients.sim_client.display import (
     learning_row,
     usual,
 )
-from koop_clients.sim_client.outcome import Outcome
-from koop_clients.sim_client.report import Result, latency
+from koop_clients.sim_client.driving.driver import Account
+from koop_clients.sim_client.driving.outcome import Outcome
+from koop_clients.sim_client.report import Driven, Result, latency, totals
 from koop_clients.sim_client.scoring import Errors
 
 ERRORS = Errors((1, 20), (0.0123, 0.2), (0.1, 0.15), 5)
@@ -115,11 +116,28 @@ def test_the_usual_latency_is_the_median_of_the_newest() -> None:
     assert usual([9.0] * 100 + [0.001] * 11 + [0.005] * 9) == 0.001
 
 
-def result(**changes: object) -> Result:
+GOOD = Outcome(True, 12.5, 1.25, 0.01, 0.0, 0.02, 20.0)
+BAD = Outcome(False, 99.0, None, 1.0, 0.0, 2.0, 20.0)
+
+
+def driven(found: Outcome | None, **changes: object) -> Driven:
     values = {
-        "system": "cartpole", "trajectories": 1, "frames": 100, "simulated": 5.0, "elapsed": 2.0,
-        "early": ERRORS, "late": None, "others": None, "predict": latency([0.01, 0.02]),
-        "lqr": None, "refused": 3, "late_plans": 0, "drive": None, "completed": True,
+        "trajectory": "cartpole-actuated/0", "start": 1.0, "target": 0.0, "began": 10.0,
+        "seconds": 8.0, "outcome": found, "command": latency([0.01, 0.03]), "late": 0,
+        "statuses": {"solved": 2}, "delay": 0, "reasons": (), "warnings": (),
+    }  # fmt: skip
+    return Driven(**{**values, **changes})
+
+
+def result(*drives: Driven, **changes: object) -> Result:
+    accounts = [Account(late=drive.late) for drive in drives]
+    for account in accounts:
+        account.latencies.extend([0.01, 0.03])
+    values = {
+        "system": "cartpole", "drive": "mpc", "trajectories": max(1, len(drives)), "frames": 100,
+        "simulated": 5.0, "elapsed": 2.0, "early": ERRORS, "late": None, "others": None,
+        "predict": latency([0.01, 0.02]), "refused": 3, "drives": list(drives),
+        "totals": totals(drives, accounts), "completed": True,
     }  # fmt: skip
     return Result(**{**values, **changes})
 
@@ -130,30 +148,53 @@ def test_the_summary_tells_what_was_measured() -> None:
     assert "first predictions      0.0123    0.2000" in text
     assert "repeating a frame    0.1000    0.1500" in text
     assert "last predictions" not in text
-    assert "prediction: 15.0 ms (p50), 19.9 ms (p99) over 2" in text
-    assert "without an answer: 3" in text
+    assert "round trip of a prediction: 15.0 ms (p50), 19.9 ms (p99) over 2" in text
+    assert "predictions without an answer: 3" in text
     assert "drive" not in text
 
 
 @pytest.mark.parametrize(
     ("drive", "words"),
     [
-        (Outcome(0.01, 0.02, 1.25, 20.0, True), "reached and held the target"),
-        (Outcome(0.01, 0.02, 1.25, 20.0, True), "for good after 1.25 s, with at most 20.0 N m"),
-        (Outcome(1.0, 2.0, None, 20.0, False), "DID NOT hold the target"),
-        (Outcome(1.0, 2.0, None, 20.0, False), "never settled within 0.1 rad"),
+        (driven(GOOD), "reached and held the target"),
+        (driven(GOOD), "for good after 1.25 s, with at most 20.0 N m, cost 12.50"),
+        (driven(GOOD), "frame put to command there: 20.0 ms (p50)"),
+        (driven(GOOD, late=4), "4 commands came after their interval was over"),
+        (driven(GOOD, warnings=("far away",)), "the service says: far away"),
+        (driven(BAD), "DID NOT hold the target"),
+        (driven(BAD), "never settled there"),
+        (driven(None, reasons=("too little torque",)), "NEVER BEGAN too little torque"),
     ],
 )
-def test_the_summary_tells_how_the_drive_went(drive: Outcome, words: str) -> None:
-    assert words in result(drive=drive).to_text()
+def test_the_summary_tells_how_the_drive_went(drive: Driven, words: str) -> None:
+    assert words in result(drive).to_text()
+
+
+def test_the_drives_of_several_plants_are_summed_up() -> None:
+    never = driven(None, reasons=("why",), late=1)
+    found = result(driven(GOOD), driven(BAD, late=2), never)
+    text = found.to_text()
+    assert "drive: 1 of 3 reached and held the target, mean cost 55.75" in text
+    assert "1 never driven" in text
+    assert "3 commands came after" in text
+    assert found.totals is not None
+    assert found.totals.success_rate == pytest.approx(1 / 3)
+    assert found.totals.command is not None
+    assert found.totals.command.count == 6
+    assert found.refusal == ""
+    assert result(never, never).refusal == "why"
 
 
 def test_the_summary_for_machines_is_one_line() -> None:
-    line = result(drive=Outcome(0.01, 0.02, None, 20.0, True)).to_json()
+    line = result(driven(GOOD), driven(None)).to_json()
     assert "\n" not in line
     values = json.loads(line)
     assert values["frames_per_s"] == 50.0
     assert values["early"]["error"] == [0.0123, 0.2]
     assert values["late"] is None
-    assert values["drive"]["settled_after"] is None
+    first, second = values["drives"]
+    assert (first["outcome"]["success"], first["outcome"]["cost"]) == (True, 12.5)
+    assert (first["statuses"], first["command"]["p50"]) == ({"solved": 2}, 0.02)
+    assert second["outcome"] is None
+    assert values["totals"]["success_rate"] == 0.5
     assert values["predict"]["count"] == 2

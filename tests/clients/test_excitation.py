@@ -7,8 +7,9 @@ import pytest
 
 from koop_clients.mechanics.excitation import (
     TORQUE_BOUND,
-    Lift,
+    Passage,
     Reference,
+    Rest,
     Tracking,
     excitation,
 )
@@ -26,23 +27,24 @@ def test_a_reference_is_a_sum_of_sinusoids_with_its_own_derivative() -> None:
     assert slope == pytest.approx((reference(0.7 + step)[0] - angle) / step, abs=1e-4)
 
 
-def test_a_lift_stays_leaves_and_arrives() -> None:
-    lift = Lift(start=3.0, end=1.0, begin=2.0, duration=4.0)
-    assert lift(0.0) == (3.0, 0.0)
-    assert lift(4.0) == (2.0, pytest.approx(-0.75))
-    assert lift(9.0) == (1.0, 0.0)
+def test_a_passage_stays_leaves_and_arrives() -> None:
+    passage = Passage(Rest(3.0), Rest(1.0), begin=2.0, duration=4.0)
+    assert passage(0.0) == (3.0, 0.0)
+    assert passage(4.0) == (2.0, pytest.approx(-0.75))
+    assert passage(9.0) == (1.0, 0.0)
 
 
-def test_a_lift_s_rate_is_its_angle_s_derivative() -> None:
-    lift = Lift(start=-1.0, end=2.0, begin=0.5, duration=1.5)
-    for time in np.linspace(0.6, 1.9, 7):
-        slope = (lift(time + 1e-6)[0] - lift(time - 1e-6)[0]) / 2e-6
-        assert lift(time)[1] == pytest.approx(slope, rel=1e-6)
+def test_a_passage_s_rate_is_its_angle_s_derivative_also_between_moving_references() -> None:
+    wave = Reference(np.array([0.4]), np.array([2.0]), np.array([0.3]))
+    passage = Passage(wave, Passage(Rest(2.0), wave, 1.0, 0.5), begin=0.5, duration=1.5)
+    for time in np.linspace(0.2, 2.4, 12):
+        slope = (passage(time + 1e-6)[0] - passage(time - 1e-6)[0]) / 2e-6
+        assert passage(time)[1] == pytest.approx(slope, rel=1e-5, abs=1e-8)
 
 
 def test_tracking_is_proportional_and_derivative() -> None:
     system = build_system("cartpole")
-    policy = Tracking(system, Lift(0.5, 0.5, begin=0.0, duration=1.0), gains=(10.0, 2.0)).policy()
+    policy = Tracking(system, Rest(0.5), gains=(10.0, 2.0)).policy()
     state = State(np.array([9.0, 0.7]), np.array([9.0, 0.3]))
     assert policy(0, 0, state) == pytest.approx(-10.0 * 0.2 - 2.0 * 0.3)
 

@@ -57,6 +57,19 @@ def test_a_new_law_goes_on_from_the_present_frame() -> None:
         assert np.array_equal(looked.state.q, plain.state.q)
 
 
+def test_a_torque_may_change_every_five_milliseconds() -> None:
+    plant = soft_plant()
+    asked: list[tuple[int, int]] = []
+
+    def torque(number: int, step: int, _state: object) -> float:
+        asked.append((number, step))
+        return 2.0 if step < 3 else -1.0
+
+    plant.obey(torque)
+    assert plant.advance() == pytest.approx(0.3 * 2.0 - 0.7 * 1.0)
+    assert asked == [(0, step) for step in range(10)]
+
+
 def test_the_torques_reproduce_the_states() -> None:
     plant, simulator = soft_plant(), Simulator(SYSTEM)
     state = plant.state

@@ -14,10 +14,14 @@ import zenoh
 from koop_clients.connection import open_session
 from koop_clients.queries import NO_REPLY, KoopClient, KoopError
 from koop_protocol import (
+    EndReason,
     ErrorCode,
     ErrorReply,
+    LqrCancel,
+    LqrEnd,
     LqrQuery,
     LqrReply,
+    LqrTask,
     PredictQuery,
     PredictReply,
     ProtocolError,
@@ -82,7 +86,27 @@ def test_controls_to_a_target(koop: KoopClient, serve) -> None:
 
     serve("koop/lqr/*", answer)
     reply = koop.lqr("a", LqrQuery(4, target_code=np.zeros(8), r=0.25))
+    assert reply.controls is not None
     assert reply.controls.tolist() == [[0.25]] * 4
+
+
+def test_a_task_and_its_end(koop: KoopClient, serve) -> None:
+    asked: list[object] = []
+
+    def answer(query: zenoh.Query) -> None:
+        message = decode(bytes(query.payload or b""))
+        asked.append(message)
+        reply = LqrReply("a", EPOCH, 3, "solved", 1.0, 0.0, np.ones((4, 1)))
+        end = LqrEnd("a", "me", EndReason.cancelled, "as asked")
+        query.reply(query.key_expr, encode(reply if isinstance(message, LqrTask) else end))
+
+    serve("koop/lqr/*", answer)
+    task = LqrTask("me", LqrQuery(4, target_code=np.zeros(8)), seconds=5.0)
+    assert koop.begin("a", task).controls is not None
+    assert koop.cancel("a", "me") == LqrEnd("a", "me", EndReason.cancelled, "as asked")
+    assert isinstance(asked[0], LqrTask)
+    assert (asked[0].owner, asked[0].seconds) == ("me", 5.0)
+    assert isinstance(asked[1], LqrCancel)
 
 
 def test_the_state(koop: KoopClient, serve) -> None:
@@ -172,7 +196,7 @@ def test_what_breaks_the_protocol_is_not_sent(koop: KoopClient) -> None:
 
 def test_a_robot_needs_neither_torch_nor_a_simulator() -> None:
     code = (
-        "import sys, koop_clients.sources, koop_clients.queries, koop_clients.connection\n"
+        "import sys, koop_clients.sources, koop_clients.control, koop_clients.connection\n"
         "print({m.split('.')[0] for m in sys.modules})"
     )
     loaded = subprocess.run(

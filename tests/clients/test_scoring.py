@@ -9,7 +9,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from koop_clients.sim_client.record import DriveLog, Record, Scorebook
+from koop_clients.sim_client.driving.drive import DriveLog
+from koop_clients.sim_client.record import Record, Scorebook, stack_series
 from koop_clients.sim_client.scoring import Errors, Forecast, Judge, Judged, judge, pool
 
 AHEAD = 4
@@ -98,12 +99,11 @@ def test_a_short_run_has_only_first_forecasts() -> None:
 
 
 def test_a_record_survives_the_disk(tmp_path: Path) -> None:
-    log = DriveLog()
-    log.add(film(1)[0], 0.5, -2.0)
-    record = Record(
-        "cartpole", [some(1), some(5)], [], np.array(log.frames), np.array(log.angles),
-        np.array(log.torques), 0.25, 20.0,
-    )  # fmt: skip
+    log = DriveLog(keep_frames=True)
+    log.add(film(1)[0], 0.5, 0.1, -2.0)
+    series = stack_series([log.series()])
+    frames = np.array(log.frames)
+    record = Record("cartpole", [some(1), some(5)], [], frames, series, 0.25, 20.0)
     record.save(tmp_path / "run.npz")
     back = Record.load(tmp_path / "run.npz")
     assert (back.system, back.target, back.torque_bound, back.ahead) == ("cartpole", 0.25, 20.0, 4)

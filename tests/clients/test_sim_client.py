@@ -19,42 +19,11 @@ from koop_clients.connection import open_session
 from koop_clients.mechanics.systems import build_system
 from koop_clients.sim_client import cli
 from koop_clients.sim_client.arguments import Arguments, parse_arguments
+from koop_clients.sim_client.options import DriveOptions
 from koop_clients.sim_client.record import Record
 from koop_clients.sim_client.streaming import open_streams
 from koop_clients.sources import FrameSource
 from koop_protocol import ErrorReply, PredictReply, encode
-
-
-@pytest.fixture
-def command(
-    endpoint: str,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-    signals: None,
-) -> Callable[..., tuple[str, str]]:
-    """Runs the command; what it said on standard output and standard error."""
-    del signals
-
-    def run(*options: str, rate: str = "max") -> tuple[str, str]:
-        given = ["koop-sim-client", "--connect", endpoint, "--rate", rate, *options]
-        monkeypatch.setattr(sys, "argv", given)
-        cli.main()
-        return capsys.readouterr()
-
-    return run
-
-
-@pytest.fixture
-def knowing(endpoint: str, clairvoyant):
-    """A service that knows the first plant of the given options."""
-
-    def start(*options: str):
-        arguments = parse_arguments(list(options))
-        system = build_system(arguments.system, arguments.physical.given)
-        with open_session(endpoint) as session:
-            return clairvoyant(system, open_streams(arguments, system, session)[0].plant.state)
-
-    return start
 
 
 @pytest.mark.parametrize(
@@ -217,8 +186,19 @@ def test_ctrl_c_ends_with_a_summary(knowing: Callable, endpoint: str) -> None:
         (["--system", "cartpole", "--ahead", "0"], "--ahead is 0; expected at least 1"),
         (["--system", "cartpole", "--mass", "-1"], "mass is -1.0; expected a positive"),
         (["--system", "pendulum", "--cart-mass", "1"], "pendulum has no parameter 'cart_mass'"),
-        (["--system", "cartpole", "--drive", "lqr", "--trajectories", "2"], "drives one plant"),
         (["--system", "cartpole", "--drive", "lqr", "--learn", "40"], "nothing is left for lqr"),
+        (
+            ["--system", "cartpole", "--target", "no.png"],
+            "--target is no.png, and there is",
+        ),
+        (["--system", "cartpole", "--start", "nan"], "--start is nan; expected an angle"),
+        (["--system", "cartpole", "--starts", "1", "-1"], "--starts is 1.0 -1.0; expected two"),
+        (["--system", "cartpole", "--start", "1", "--starts", "0", "1"], "exclude each other"),
+        (["--system", "cartpole", "--qf", "big"], "--qf is big; expected none, riccati, or a"),
+        (["--system", "cartpole", "--kick", "inf"], "--kick is inf; expected a number of N m s"),
+        (["--system", "cartpole", "--noise", "-1"], "--noise is -1.0; expected 0 or more"),
+        (["--system", "cartpole", "--delay", "2"], "--delay is 2.0; expected 0 to 1 s"),
+        (["--system", "cartpole", "--change-mass", "0"], "--change-mass is 0.0; expected above 0"),
     ],
 )
 def test_nonsense_is_refused_before_anything_starts(
@@ -242,30 +222,40 @@ def test_the_options_mean_what_they_say() -> None:
     rest = ["--rate", "2.5", "--mass", "0.7", "--ahead", "7"]
     arguments = parse_arguments(["--system", "cartpole", *drive, *rest])
     assert arguments.is_actuated
-    assert arguments.lqr.target_angle == pytest.approx(np.pi)
-    assert arguments.lqr.start_angle == pytest.approx(np.pi + 1)
+    assert arguments.driving.angle == pytest.approx(np.pi)
+    assert arguments.driving.start_angle(np.pi, 0.5) == pytest.approx(np.pi + 1)
+    assert (arguments.drives, arguments.method, arguments.takeover) == (True, "gain", 200)
     assert arguments.speed == 2.5
     assert arguments.physical.given == {"mass": 0.7}
     assert arguments.horizons == (1, 2, 5)
     assert not Arguments("cartpole").is_actuated
+    assert parse_arguments(["--system", "cartpole", "--drive", "mpc"]).method == "qp"
+    known = parse_arguments(["--system", "cartpole", "--drive", "state-lqr"])
+    assert (known.drives, known.is_actuated, known.method) == (True, True, None)
+    spread = DriveOptions(starts=(-1.0, 3.0))
+    assert [spread.start_angle(0.0, share) for share in (0.0, 0.5)] == [-1.0, 1.0]
+    assert DriveOptions(start=0.2).start_angle(0.0, 0.9) == 0.2
 
 
-def test_the_seed_decides_about_the_plants(endpoint: str) -> None:
+def test_seed_and_number_decide_about_a_plant(endpoint: str) -> None:
     with open_session(endpoint) as session:
 
-        def starts(seed: int) -> list[float]:
-            options = f"--system cartpole --actuated --trajectories 3 --seed {seed}".split()
-            arguments = parse_arguments(options)
-            system = build_system("cartpole")
-            return [s.plant.state.q[1] for s in open_streams(arguments, system, session)]
+        def plants(seed: int, first: int) -> list[tuple[float, float]]:
+            options = f"--system cartpole --drive pd --trajectories 3 --seed {seed} --first {first}"
+            arguments = parse_arguments([*options.split(), "--starts", "-1", "1"])
+            streams = open_streams(arguments, build_system("cartpole"), 0.0, session)
+            assert all(-1 <= stream.start <= 1 for stream in streams)
+            return [(stream.plant.angle, stream.start) for stream in streams]
 
-        assert starts(1) == starts(1)
-        assert len({*starts(1), *starts(2)}) == 6
+        assert plants(1, 0) == plants(1, 0)
+        assert plants(1, 0)[2] == plants(1, 2)[0]
+        angles, starts = zip(*plants(1, 0), *plants(2, 0), strict=True)
+        assert len(set(angles)) == len(set(starts)) == 6
 
 
 def test_sources_are_numbered_from_the_first(endpoint: str) -> None:
     with open_session(endpoint) as session:
         arguments = parse_arguments(["--system", "cartpole", "--trajectories", "2", "--first", "5"])
-        streams = open_streams(arguments, build_system("cartpole"), session)
+        streams = open_streams(arguments, build_system("cartpole"), 0.0, session)
         assert [s.source.trajectory for s in streams] == ["cartpole/5", "cartpole/6"]
         assert all(isinstance(s.source, FrameSource) for s in streams)

@@ -13,14 +13,20 @@ import numpy as np
 import zenoh
 
 from koop_protocol import (
+    Command,
     Control,
     ErrorReply,
     Frame,
+    LqrCancel,
+    LqrEnd,
     LqrQuery,
+    LqrTask,
     Message,
     PredictQuery,
     PredictReply,
     StateReply,
+    client_token,
+    command_key,
     control_key,
     decode,
     encode,
@@ -63,6 +69,35 @@ def config_for(folder: Path, model: Path, **limits: int) -> ServiceConfig:
     )
 
 
+class Inbox:
+    """Commands and ends in the order of their arrival."""
+
+    def __init__(self) -> None:
+        self.messages: list[Command | LqrEnd] = []
+
+    def put(self, sample: zenoh.Sample) -> None:
+        message = decode(sample.payload.to_bytes())
+        assert isinstance(message, Command | LqrEnd)
+        self.messages.append(message)
+
+    def of_frame(self, seq: int) -> Command:
+        """The command of this frame, when it is there."""
+        wait_until(lambda: any(c.seq == seq for c in self.commands()), f"the command of {seq}")
+        return next(c for c in self.commands() if c.seq == seq)
+
+    def end(self) -> LqrEnd:
+        """The end of the task, when it is there."""
+        wait_until(lambda: bool(self.ends()), "the end of the task")
+        (end,) = self.ends()
+        return end
+
+    def commands(self) -> list[Command]:
+        return [m for m in self.messages if isinstance(m, Command)]
+
+    def ends(self) -> list[LqrEnd]:
+        return [m for m in self.messages if isinstance(m, LqrEnd)]
+
+
 @dataclass
 class Loop:
     """A running service and one client session."""
@@ -91,6 +126,25 @@ class Loop:
 
     def lqr(self, name: str, query: LqrQuery) -> Message:
         return self.ask_one(lqr_key(name), encode(query))
+
+    @contextmanager
+    def owner(self, name: str) -> Iterator[None]:
+        """The client's session holds this owner's liveliness token."""
+        token = self.session.liveliness().declare_token(client_token(name))
+        try:
+            yield
+        finally:
+            token.undeclare()
+
+    @contextmanager
+    def commands(self, name: str) -> Iterator[Inbox]:
+        """What the service puts on the trajectory's command key."""
+        inbox = Inbox()
+        with self.session.declare_subscriber(command_key(name), inbox.put):
+            yield inbox
+
+    def task(self, name: str, order: LqrTask | LqrCancel) -> Message:
+        return self.ask_one(lqr_key(name), encode(order))
 
     def state(self, name: str) -> StateReply:
         reply = self.ask_one(state_key(name))

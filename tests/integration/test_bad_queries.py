@@ -31,7 +31,7 @@ CODE = np.zeros(8)
 
 def lqr(**changes: object) -> bytes:
     """An lqr_query with its map changed by hand."""
-    fields = msgpack.unpackb(encode(LqrQuery(5, target_code=CODE)))
+    fields = msgpack.unpackb(encode(LqrQuery(5, target_code=CODE, force=True)))
     return msgpack.packb({**fields, **changes})
 
 
@@ -72,6 +72,28 @@ LQR_QUERIES = {
         "bad_bounds",
         {"u_min": array(np.array([1.0])), "u_max": array(np.array([-1.0]))},
     ),
+    "rates of a wrong size": ("bad_bounds", {"du_max": array(np.ones(2))}),
+    "rates that force a change": ("bad_bounds", {"du_min": array(np.array([0.1]))}),
+    "bounds that the rate does not reach": (
+        "bad_bounds",
+        {"u_min": array(np.array([5.0])), "du_max": array(np.array([0.1]))},
+    ),
+    "Qf of a wrong size": ("bad_weights", {"qf": array(np.ones(3))}),
+    "Qf misspelt": ("malformed", {"qf": "ricatti"}),
+    "a known channel that is not there": (
+        "bad_controls",
+        {"known_channels": [3], "known_controls": array(np.zeros((2, 1)))},
+    ),
+    "nothing left to decide": (
+        "bad_controls",
+        {"known_channels": [0], "known_controls": array(np.zeros((2, 1)))},
+    ),
+    "a gain with known channels": (
+        "bad_controls",
+        {"known_channels": [0], "known_controls": array(np.zeros((2, 1))), "method": "gain"},
+    ),
+    "an unknown method": ("malformed", {"method": "pid"}),
+    "delay below 0": ("malformed", {"delay": -1}),
     "bounds of a wrong size": ("bad_bounds", {"u_max": array(np.ones(2))}),
     "from the future": ("unsupported_version", {"v": 9}),
     "a predict query": ("malformed", {"type": "predict_query"}),
@@ -148,7 +170,7 @@ def test_an_exception_of_ours_is_answered_and_logged(
         raise RuntimeError("a bug")
 
     with monkeypatch.context() as patch:
-        patch.setattr("koop_service.serving.queries.rollout", fail)
+        patch.setattr("koop_service.serving.forecasts.rollout", fail)
         reply = koop.predict("cart/0")
     assert isinstance(reply, ErrorReply)
     assert reply.code == "internal"

@@ -12,12 +12,17 @@ import pytest
 from hypothesis import given, settings
 
 from koop_protocol import (
+    Command,
     Control,
+    EndReason,
     ErrorCode,
     ErrorReply,
     Frame,
+    LqrCancel,
+    LqrEnd,
     LqrQuery,
     LqrReply,
+    LqrTask,
     Message,
     PredictQuery,
     PredictReply,
@@ -97,40 +102,92 @@ def weights(size):
     return POSITIVE | diagonal | diagonal.map(np.diag)
 
 
+PARTS = subsets("codes", "frames")
+
+
 @st.composite
-def lqr_queries(draw):
+def lqr_queries(draw, returns=PARTS):
     n, p = draw(st.integers(1, 4)), draw(st.integers(1, 3))
     by_code = draw(st.booleans())
-    low = draw(st.none() | hnp.arrays(np.float64, p, elements=st.floats(-9, 0)))
+    low, high = st.floats(-9, 0), st.floats(0, 9)
+    rows = draw(st.sampled_from([(), (3,)]))
+    m = draw(st.integers(0, 2))
     return LqrQuery(
         draw(st.integers(1, 1000)),
         target_image=None if by_code else draw(images()),
-        target_code=draw(arrays(np.float64, n)) if by_code else None,
+        target_code=draw(arrays(np.float64, (*rows, n))) if by_code else None,
         q=draw(weights(n)),
         r=draw(weights(p)),
-        u_min=low,
-        u_max=draw(st.none() | hnp.arrays(np.float64, p, elements=st.floats(0, 9))),
-        returns=draw(subsets("codes", "frames")),
+        u_min=draw(st.none() | hnp.arrays(np.float64, p, elements=low)),
+        u_max=draw(st.none() | hnp.arrays(np.float64, p, elements=high)),
+        returns=draw(returns),
+        qf=draw(st.none() | st.just("riccati") | weights(n)),
+        du_min=draw(st.none() | hnp.arrays(np.float64, p, elements=low)),
+        du_max=draw(st.none() | hnp.arrays(np.float64, p, elements=high)),
+        known_channels=tuple(range(m)) or None,
+        known_controls=draw(arrays(np.float64, (2, m))) if m else None,
+        delay=draw(st.integers(0, 1000)),
+        method=draw(st.sampled_from(["qp", "gain"])),
+        force=draw(st.booleans()),
     )
 
 
 @st.composite
 def lqr_replies(draw):
-    rows = draw(st.integers(1, 4))
+    rows, seq = draw(st.integers(1, 4)), draw(st.integers(0, 2**53 - 1001))
+    controls, probing = draw(arrays(np.float64, (rows, 2))), draw(arrays(np.float64, (rows, 2)))
+    fit = draw(st.booleans())
     return LqrReply(
         draw(trajectories),
         draw(epochs),
-        draw(sequences),
+        seq,
         draw(words),
         draw(FINITE),
         draw(POSITIVE),
-        draw(arrays(np.float64, (rows, 2))),
+        controls if fit else draw(st.sampled_from([controls, None])),
         draw(st.none() | codes(rows, 3)),
         draw(st.none() | images((rows,))),
         draw(POSITIVE),
+        start=seq + draw(st.integers(0, 1000)),
+        fit=fit,
+        reasons=tuple(draw(st.lists(words, max_size=3))),
+        warnings=tuple(draw(st.lists(words, max_size=3))),
+        modes=draw(st.none() | arrays(np.float64, (2, 4))),
+        scores=draw(st.none() | arrays(np.float64, 2)),
+        information=draw(st.none() | arrays(np.float64, 2)),
+        residual=draw(POSITIVE),
+        band=draw(POSITIVE),
+        probing=draw(st.sampled_from([probing, None])),
     )
 
 
+owners = st.from_regex(r"[A-Za-z0-9_.-]{1,64}", fullmatch=True)
+tasks = st.builds(
+    LqrTask,
+    owners,
+    lqr_queries(st.just(frozenset())),
+    seconds=st.none() | POSITIVE,
+    frozen=st.booleans(),
+)
+
+
+@st.composite
+def commands(draw):
+    seq = draw(st.integers(0, 2**53 - 1001))
+    return Command(
+        draw(trajectories),
+        draw(epochs),
+        seq,
+        seq + draw(st.integers(0, 1000)),
+        draw(arrays(np.float64, (3, 2))),
+        draw(words),
+        draw(FINITE),
+        draw(POSITIVE),
+        draw(owners),
+    )
+
+
+ends = st.builds(LqrEnd, trajectories, owners, st.sampled_from(EndReason), words)
 states = st.builds(
     StateReply,
     trajectory=trajectories,
@@ -162,6 +219,10 @@ messages = st.one_of(
     predict_replies(),
     lqr_queries(),
     lqr_replies(),
+    tasks,
+    st.builds(LqrCancel, owners),
+    commands(),
+    ends,
     states,
     errors,
 )
@@ -172,7 +233,9 @@ def assert_same(left: Message, right: Message) -> None:
     for name in (field.name for field in fields(left)):
         a, b = getattr(left, name), getattr(right, name)
         assert type(a) is type(b), name
-        if isinstance(a, np.ndarray):
+        if isinstance(a, LqrQuery):
+            assert_same(a, b)
+        elif isinstance(a, np.ndarray):
             assert a.dtype == b.dtype, name
             np.testing.assert_array_equal(a, b, err_msg=name)
         else:
@@ -335,6 +398,21 @@ def test_nil_stands_for_an_absent_field():
 def test_another_type_than_asked_for_is_malformed():
     with pytest.raises(ProtocolError, match="'control' came; expected one of type 'frame'"):
         decode_as(Frame, control_map())
+
+
+def test_a_query_inside_a_task_is_read_as_strictly_as_one_alone():
+    task = msgpack.unpackb(encode(LqrTask("me", LqrQuery(5, target_code=np.zeros(2)))))
+    assert "v" not in task["query"]
+    assert "type" not in task["query"]
+    for change, code in (
+        ({"horizon": 0}, ErrorCode.bad_horizon),
+        ({"horizon": None}, ErrorCode.malformed),
+        ({"r": float("nan")}, ErrorCode.not_finite),
+        ({"returns": ["codes"]}, ErrorCode.malformed),
+    ):
+        changed = {**task, "query": {**task["query"], **change}}
+        assert code_of(msgpack.packb(changed)) == code
+    assert code_of(msgpack.packb({**task, "query": "all"})) == ErrorCode.wrong_type
 
 
 def test_decoded_arrays_are_read_only_and_outlive_the_buffer():

@@ -9,15 +9,19 @@ import pytest
 from hypothesis import given
 
 from koop_protocol import (
+    CLIENT_TOKENS,
     SHARDS,
     ErrorCode,
     KeyKind,
     ProtocolError,
+    check_owner,
     check_trajectory,
+    client_token,
     command_key,
     control_key,
     frame_key,
     lqr_key,
+    owner_of,
     parse_key,
     predict_key,
     replay_key,
@@ -113,3 +117,27 @@ def test_any_other_key_gives_one_typed_error(key):
 def test_wildcards_and_stumps_are_no_keys(key):
     with pytest.raises(ProtocolError):
         parse_key(key)
+
+
+@given(st.from_regex(r"[A-Za-z0-9_.-]{1,64}", fullmatch=True))
+def test_a_token_names_its_owner(owner):
+    assert owner_of(client_token(owner)) == owner
+    assert client_token(owner).rpartition("/")[0] + "/*" == CLIENT_TOKENS
+
+
+@pytest.mark.parametrize("owner", ["", "a/b", "a b", "@a", "*", "ä", "a\n", "a" * 65])
+def test_what_names_no_owner_is_refused(owner):
+    for check in (check_owner, client_token):
+        with pytest.raises(ProtocolError) as caught:
+            check(owner)
+        assert caught.value.code == ErrorCode.bad_key
+    with pytest.raises(ProtocolError):
+        owner_of(f"koop/@client/{owner}")
+
+
+def test_an_owner_is_a_string_and_its_token_stands_where_it_belongs():
+    with pytest.raises(ProtocolError) as caught:
+        check_owner(3)
+    assert caught.value.code == ErrorCode.wrong_type
+    with pytest.raises(ProtocolError, match="no owner's token"):
+        owner_of("koop/@source/a")

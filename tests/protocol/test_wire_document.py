@@ -11,16 +11,22 @@ import numpy as np
 import pytest
 
 from koop_protocol import (
+    Command,
     Control,
+    EndReason,
     ErrorCode,
     ErrorReply,
     Frame,
     Limits,
+    LqrCancel,
+    LqrEnd,
     LqrQuery,
     LqrReply,
+    LqrTask,
     PredictQuery,
     PredictReply,
     StateReply,
+    client_token,
     control_key,
     decode_as,
     encode,
@@ -37,6 +43,10 @@ HEADINGS = {
     "predict_reply": PredictReply,
     "lqr_query": LqrQuery,
     "lqr_reply": LqrReply,
+    "lqr_task": LqrTask,
+    "lqr_cancel": LqrCancel,
+    "command": Command,
+    "lqr_end": LqrEnd,
     "state": StateReply,
     "error": ErrorReply,
 }
@@ -75,7 +85,7 @@ def test_the_shards_are_what_the_code_gives():
 
 def test_the_keys_are_keys():
     keys = [row[0].strip("`") for row in rows(section("## Keys")) if row[0].startswith("`koop")]
-    assert len(keys) == 5
+    assert len(keys) == 6
     for key in keys:
         real = key.replace("<shard>", "1b").replace("<trajectory>", "cartpole/0")
         assert parse_key(real).trajectory == "cartpole/0"
@@ -93,6 +103,15 @@ def test_the_fields_are_those_of_the_message(heading):
 def test_the_codes_are_all_there():
     codes = [row[0].strip("`") for row in rows(section("### error")) if len(row) == 2]
     assert codes == [code.value for code in ErrorCode]
+
+
+def test_the_reasons_of_an_end_are_all_there():
+    reasons = [row[0].strip("`") for row in rows(section("### lqr_end")) if len(row) == 2]
+    assert reasons == [reason.value for reason in EndReason]
+
+
+def test_the_token_of_an_owner_is_what_the_code_gives():
+    assert f"`{client_token('OWNER').replace('OWNER', '<owner>')}`" in section("## Control tasks")
 
 
 def test_the_limits_are_the_defaults():

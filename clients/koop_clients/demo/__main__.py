@@ -90,7 +90,7 @@ def _drive_options(arguments: Arguments) -> list[str]:
     times = {"--learn": arguments.learn, "--duration": arguments.learn + arguments.drive}
     options = [text for name, value in times.items() for text in (name, str(value))]
     record = str(arguments.out / "demo.npz")
-    return ["--drive", "lqr", "--seed", str(arguments.seed), "--record", record, *options]
+    return ["--drive", "mpc", "--seed", str(arguments.seed), "--record", record, *options]
 
 
 def _stream(endpoint: str, *options: str) -> dict[str, Any]:

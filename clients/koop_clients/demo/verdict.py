@@ -13,7 +13,7 @@ Result = dict[str, Any]
 def failures(run: Result) -> list[str]:
     """What a reader of the table would object to; empty if all is well."""
     found = []
-    late, drive = run["late"], run["drive"]
+    late, drive = run["late"], outcome(run)
     if late is None:
         found.append("no prediction was answered and came true")
     else:
@@ -33,16 +33,23 @@ def failures(run: Result) -> list[str]:
     return found
 
 
+def outcome(run: Result) -> Result | None:
+    """What became of the first plant; None where it was not driven."""
+    return run["drives"][0]["outcome"] if run["drives"] else None
+
+
 def table(run: Result, burst: Result) -> str:
     """What was measured, in a few lines."""
     lines = []
     if run["early"] is not None and run["late"] is not None:
         lines += _errors(run["early"], run["late"])
-    if run["drive"] is not None:
-        lines.append(_row("drive, on the simulator", _outcome(run["drive"])))
+    drive = outcome(run)
+    if drive is not None:
+        lines.append(_row("drive, on the simulator", _outcome(drive)))
+        command = _quantiles(run["totals"]["command"])
+        lines.append(_row("frame to command", f"{command}, a new plan at every frame"))
     lines += [
         _row("query round trip", f"prediction {_quantiles(run['predict'])}"),
-        _row("", f"plan (LQR) {_quantiles(run['lqr'])}"),
         _row("", f"prediction at full speed {_quantiles(burst['predict'])}"),
         _row(
             "full speed",

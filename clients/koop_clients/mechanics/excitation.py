@@ -8,6 +8,7 @@ a controller would; `soft-hanging` does so around the hanging position; `free` l
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal
 
@@ -17,6 +18,10 @@ from koop_clients.mechanics.simulation import FRAME_INTERVAL, STEP, Policy, Stat
 from koop_clients.mechanics.systems import System
 
 Regime = Literal["free", "paper", "probing", "soft", "soft-hanging"]
+
+# Where the pole is to be: angle [rad] and its rate [rad/s] as a function of time [s].
+Motion = Callable[[float], tuple[float, float]]
+
 TORQUE_BOUND = 30.0  # N m
 
 # Largest amplitude [rad] and frequency [Hz] of each of the three sinusoids of a reference (A.2.1).
@@ -54,20 +59,31 @@ class Reference:
 
 
 @dataclass(frozen=True)
-class Lift:
-    """A smooth way from one angle [rad] to another, beginning at `begin`, `duration` long [s]."""
+class Rest:
+    """A reference that stays at one angle [rad]."""
 
-    start: float
-    end: float
+    angle: float
+
+    def __call__(self, time: float) -> tuple[float, float]:  # noqa: ARG002
+        """Angle [rad] and its rate [rad/s] at `time` [s]."""
+        return self.angle, 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class Passage:
+    """A smooth way from one reference to another, beginning at `begin`, `duration` long [s]."""
+
+    start: Motion
+    end: Motion
     begin: float
     duration: float
 
     def __call__(self, time: float) -> tuple[float, float]:
         """Angle [rad] and its rate [rad/s] at `time` [s]."""
-        share = min(max((time - self.begin) / self.duration, 0.0), 1.0)
-        way = self.end - self.start
-        rate = 6 * share * (1 - share) * way / self.duration
-        return self.start + share * share * (3 - 2 * share) * way, rate
+        x = min(max((time - self.begin) / self.duration, 0.0), 1.0)
+        share, rising = x * x * (3 - 2 * x), 6 * x * (1 - x) / self.duration
+        (a, a_rate), (b, b_rate) = self.start(time), self.end(time)
+        return a + share * (b - a), a_rate + share * (b_rate - a_rate) + rising * (b - a)
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,7 +107,7 @@ class Tracking:
     """
 
     system: System
-    reference: Reference | Lift
+    reference: Motion
     gains: tuple[float, float]
     extra: Multisine | None = None
     hold_frame: bool = False
@@ -137,9 +153,7 @@ def near_reference(rng: np.random.Generator, centre: float) -> Reference:
     return _sample_reference(rng, *_NEAR_REFERENCE, centre)
 
 
-def probing_tracking(
-    system: System, reference: Reference | Lift, rng: np.random.Generator
-) -> Tracking:
+def probing_tracking(system: System, reference: Motion, rng: np.random.Generator) -> Tracking:
     """The `probing` regime around a reference of the caller's."""
     return Tracking(system, reference, _PAPER_GAINS, _sample_multisine(rng, _PROBING_TORQUE))
 

@@ -17,6 +17,9 @@ STEPS_PER_FRAME = round(FRAME_INTERVAL / STEP)
 # The torque [N m] on the actuated joint as a function of (frame number, step in frame, state).
 Policy = Callable[[int, int, "State"], float]
 
+# A torque [N m] on the same joint that nobody decides, of (frame number, step in frame).
+Disturbance = Callable[[int, int], float]
+
 
 @dataclass(frozen=True, eq=False)
 class State:
@@ -43,13 +46,15 @@ class Simulator:
         v = state.v + STEP * acceleration
         return State(pin.integrate(model, state.q, STEP * v), v)
 
-    def frame(self, state: State, policy: Policy, number: int) -> tuple[State, float]:
-        """From frame `number` to the next: the new state and the mean torque applied."""
+    def frame(
+        self, state: State, policy: Policy, number: int, disturbance: Disturbance | None = None
+    ) -> tuple[State, float]:
+        """From frame `number` to the next: the new state and the mean of the policy's torque."""
         total = 0.0
         for i in range(STEPS_PER_FRAME):
             torque = policy(number, i, state)
             total += torque
-            state = self.step(state, torque)
+            state = self.step(state, torque + (disturbance(number, i) if disturbance else 0.0))
         return state, total / STEPS_PER_FRAME
 
 
@@ -87,6 +92,11 @@ def _centred(system: System, state: State) -> State:
     q, v = state.q.copy(), state.v.copy()
     q[0], v[0] = -arm * np.sin(q[pole]), -arm * np.cos(q[pole]) * v[pole]
     return State(q, v)
+
+
+def angle_between(angle: np.ndarray | float, target: np.ndarray | float) -> np.ndarray:
+    """Signed difference in [-pi, pi) [rad]."""
+    return (np.asarray(angle) - target + np.pi) % (2 * np.pi) - np.pi
 
 
 def random_state(system: System, rng: np.random.Generator, high: bool = False) -> State:

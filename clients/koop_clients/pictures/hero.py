@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from koop_clients.mechanics.simulation import FRAME_INTERVAL
+from koop_clients.mechanics.simulation import FRAME_INTERVAL, angle_between
 from koop_clients.pictures.film import Sheet, caption, most_motion
 from koop_clients.pictures.theme import (
     DPI,
@@ -22,7 +22,7 @@ from koop_clients.pictures.theme import (
     TRUTH_MAP,
     title,
 )
-from koop_clients.sim_client.outcome import NEAR, angle_between
+from koop_clients.sim_client.driving.outcome import NEAR
 from koop_clients.sim_client.record import Record
 from koop_clients.sim_client.scoring import Errors, Judged, pool
 
@@ -70,7 +70,7 @@ def _drive_film(sheet: Sheet, record: Record) -> None:
     row = sheet.film(_LEFT, 2.93, _FULL, record.drive_frames[shown], TRUTH_MAP)
     for axes, number in zip(row, shown, strict=True):
         caption(axes, f"{number * FRAME_INTERVAL:.2f} s")
-    title(row[0], "then it drives", "with the torques of koop/lqr, to a picture of the target")
+    title(row[0], "then it drives", "by the commands of koop/command, to a picture of the target")
 
 
 def _error_plot(axes: Axes, early: Errors, late: Errors) -> None:

@@ -12,6 +12,7 @@ from koop_clients.mechanics.systems import System, build_system
 from koop_clients.queries import NO_REPLY, KoopClient, KoopError
 from koop_clients.sim_client.arguments import Arguments, parse_arguments
 from koop_clients.sim_client.display import Display
+from koop_clients.sim_client.driving.target import Target, read_target
 from koop_clients.sim_client.live import LiveRun
 from koop_clients.sim_client.pacing import Stop
 
@@ -21,35 +22,39 @@ _POLL = 0.1  # s
 def main() -> None:
     """Entry point.
 
-    Exits with 2 for arguments that make no sense, and with 1 where the service cannot be reached
-    or cannot serve the system.
+    Exits with 2 for arguments that make no sense, and with 1 where the service cannot be reached,
+    cannot serve the system, or finds its model not fit to drive any of the plants.
     """
     try:
         arguments = parse_arguments()
         system = build_system(arguments.system, arguments.physical.given)
+        target = read_target(arguments.driving, system)
     except ValueError as error:
         print(f"koop-sim-client: {error}", file=sys.stderr)
         sys.exit(2)
     try:
-        run(arguments, system)
+        run(arguments, system, target)
     except (KoopError, OSError, ValueError) as error:
         sys.exit(f"koop-sim-client: {error}")
     except KeyboardInterrupt:
         sys.exit(130)
 
 
-def run(arguments: Arguments, system: System) -> None:
+def run(arguments: Arguments, system: System, target: Target) -> None:
     """Stream, ask, drive; then say what was found, and save what was asked for."""
     display = Display()
     with _connect(arguments, display) as session:
         stop = Stop()
         stop.catch_signals()
-        live = LiveRun(arguments, system, session, display)
+        live = LiveRun(arguments, system, target, session, display)
+        _tell_target(arguments, target, display)
         live.run(stop)
         flush(session)
     _save(live, arguments, display)
     result = live.result()
     print(result.to_json() if arguments.output.json else "\n" + result.to_text())
+    if result.refusal:
+        sys.exit(f"koop-sim-client: the service did not drive: {result.refusal}")
 
 
 def _connect(arguments: Arguments, display: Display) -> zenoh.Session:
@@ -88,6 +93,14 @@ def _await_answer(client: KoopClient, trajectory: str, wait: float) -> None:
             return
 
 
+def _tell_target(arguments: Arguments, target: Target, display: Display) -> None:
+    if arguments.drives and arguments.driving.is_picture:
+        display.say(
+            f"the target's picture is most like a pole at {target.angle:+.2f} rad "
+            f"(RMSE per pixel {target.mismatch:.3f})"
+        )
+
+
 def _plan(arguments: Arguments) -> str:
     """What is going to happen, in words."""
     count = arguments.trajectories
@@ -97,8 +110,9 @@ def _plan(arguments: Arguments) -> str:
     what = "swinging freely"
     if arguments.is_actuated:
         what = "tracking random references"
-    if arguments.drive == "lqr":
-        what += f", and driven by the service after {arguments.lqr.learn:g} s"
+    if arguments.drives:
+        driver = "the service" if arguments.method else f"{arguments.drive} from the true state"
+        what += f", and driven by {driver} after {arguments.driving.learn:g} s"
     return f"streaming {names} {until}, {what}"
 
 

@@ -7,15 +7,15 @@ from collections.abc import Sequence
 import numpy as np
 
 from koop_clients.mechanics.simulation import FRAME_INTERVAL
-from koop_clients.queries import KoopError
 from koop_clients.sim_client.arguments import Arguments
 from koop_clients.sim_client.display import Display, learning_heading, learning_row, usual
+from koop_clients.sim_client.driving.registration import another_source
 from koop_clients.sim_client.forecasting import Asker
 from koop_clients.sim_client.record import Scorebook
 from koop_clients.sim_client.schedule import approach_frame
 from koop_clients.sim_client.scoring import Forecast, pool
 from koop_clients.sim_client.streaming import Stream
-from koop_protocol import ErrorCode, PredictReply
+from koop_protocol import PredictReply
 
 _RECENT = 20  # forecasts behind the errors of a progress row
 
@@ -34,20 +34,22 @@ class Learning:
         self._asker = asker
         self._display = display
 
-    def step(self, number: int, frames: Sequence[np.ndarray], book: Scorebook) -> None:
-        """Frames `number` were put: ask about them, and let the plants go on."""
+    def shown(self, index: int, number: int, frame: np.ndarray) -> None:
+        """Plant `index` has put frame `number`: ask about it, if it is its turn."""
         # While the pole is lifted the plant is elsewhere with every frame: that is not judged.
-        if number % self._period == 0 and number + self._ahead <= self._last:
-            self._forecast(0, frames)
-            if others := len(self._streams) - 1:
-                self._forecast(1 + (number // self._period) % others, frames)
-        for stream in self._streams:
-            stream.advance()
+        if number % self._period or number + self._ahead > self._last:
+            return
+        others = len(self._streams) - 1
+        if index == 0 or index == 1 + (number // self._period) % others:
+            self._forecast(index, frame)
+
+    def tell(self, number: int, book: Scorebook) -> None:
+        """A progress row, if it is time for one."""
         heading = learning_heading(self._horizons)
         if self._display.due(heading):
             self._display.row(heading, self._row(number, book))
 
-    def _forecast(self, index: int, frames: Sequence[np.ndarray]) -> None:
+    def _forecast(self, index: int, frame: np.ndarray) -> None:
         """Ask about one plant, with the torques that it is really going to get."""
         stream = self._streams[index]
         controls = stream.plant.look_ahead(self._ahead) if stream.source.control_size else None
@@ -56,13 +58,13 @@ class Learning:
             return
         _check_epoch(reply, stream)
         if reply.seq == stream.plant.number and reply.frames is not None:
-            stream.judge.predict(Forecast(reply.seq, frames[index], reply.frames))
+            stream.judge.predict(Forecast(reply.seq, frame, reply.frames))
 
     def _row(self, number: int, book: Scorebook) -> str:
         return learning_row(
             self._display,
             number,
-            (number + 1) * len(self._streams),
+            sum(stream.frames for stream in self._streams),
             pool(book.recent(_RECENT), self._horizons),
             self._asker.standing,
             usual(self._asker.latencies),
@@ -71,8 +73,4 @@ class Learning:
 
 def _check_epoch(reply: PredictReply, stream: Stream) -> None:
     if reply.epoch != stream.source.epoch:
-        name = stream.source.trajectory
-        raise KoopError(
-            ErrorCode.stale_epoch,
-            f"another source streams as {name}; stop it, or choose other numbers with --first",
-        )
+        raise another_source(stream.source.trajectory)

@@ -1,4 +1,9 @@
-"""The live loop: show a frame, ask or obey, let the control act, and tell how it goes."""
+"""The live loop: show a frame, ask or obey, let the control act, and tell how it goes.
+
+A plant's interval is simulated when its next frame is due. What was commanded meanwhile is known by
+then, with the time at which it came; so nothing waits for the service, and twenty plants take turns
+within one frame interval.
+"""
 
 from __future__ import annotations
 
@@ -12,15 +17,14 @@ from koop_clients.mechanics.simulation import FRAME_INTERVAL
 from koop_clients.mechanics.systems import System
 from koop_clients.queries import KoopClient
 from koop_clients.sim_client.arguments import Arguments
-from koop_clients.sim_client.display import Display
-from koop_clients.sim_client.driving import Driving
+from koop_clients.sim_client.display import Display, usual
+from koop_clients.sim_client.driving.phase import Driving
+from koop_clients.sim_client.driving.target import Target
 from koop_clients.sim_client.forecasting import Asker
 from koop_clients.sim_client.learning import Learning
-from koop_clients.sim_client.outcome import outcome
 from koop_clients.sim_client.pacing import Pace, Stop
-from koop_clients.sim_client.record import Record, Scorebook
-from koop_clients.sim_client.report import Result, latency
-from koop_clients.sim_client.schedule import takeover_frame
+from koop_clients.sim_client.record import Record, Scorebook, stack_series
+from koop_clients.sim_client.report import Result, driven, latency, totals
 from koop_clients.sim_client.scoring import pool
 from koop_clients.sim_client.streaming import open_streams
 
@@ -29,17 +33,20 @@ class LiveRun:
     """One run of the client over an open session."""
 
     def __init__(
-        self, arguments: Arguments, system: System, session: zenoh.Session, display: Display
+        self,
+        arguments: Arguments,
+        system: System,
+        target: Target,
+        session: zenoh.Session,
+        display: Display,
     ) -> None:
         self._arguments = arguments
         self._display = display
-        self._streams = open_streams(arguments, system, session)
-        self._plant = self._streams[0].plant
-        self._takeover = takeover_frame(arguments)
-        client = KoopClient(session)
-        self._asker = Asker(client)
+        self._target = target
+        self._streams = open_streams(arguments, system, target.angle, session)
+        self._asker = Asker(KoopClient(session))
         self._learning = Learning(arguments, self._streams, self._asker, display)
-        self._driving = Driving(arguments, self._streams[0], client, display)
+        self._driving = Driving(arguments, target, self._streams, session, self._lag, display)
         self._book, self._others = Scorebook(), Scorebook()
         self._elapsed = 0.0
         self._completed = False
@@ -49,59 +56,97 @@ class LiveRun:
 
         Raises KoopError where the service cannot serve this stream.
         """
-        frames = round(self._arguments.duration / FRAME_INTERVAL) or math.inf
-        pace = Pace(self._arguments.speed, stop)
         started = time.monotonic()
         try:
-            while not stop and self._plant.number < frames:
-                pace.wait(self._plant.number * FRAME_INTERVAL)
-                self._frame(self._plant.number)
+            self._rounds(stop)
         finally:
             self._elapsed = time.monotonic() - started
+            self._driving.close()
             self._display.close()
         self._completed = not stop
 
-    def _frame(self, number: int) -> None:
-        books = [self._book] + [self._others] * (len(self._streams) - 1)
-        frames = [stream.show(book) for stream, book in zip(self._streams, books, strict=True)]
-        if number == self._takeover - 1:
-            self._driving.prepare(number)
-        if number >= self._takeover:
-            self._driving.step(number, frames[0])
+    def _rounds(self, stop: Stop) -> None:
+        """Each plant in turn, spread over a frame interval, frame by frame."""
+        pace = Pace(self._arguments.speed, stop)
+        count, number = len(self._streams), 0
+        going = list(range(count))
+        while going and not stop:
+            for index in going:
+                pace.wait((number + index / count) * FRAME_INTERVAL)
+                self._turn(index, number)
+            going = [index for index in going if not self._is_over(index)]
+            number += 1
+
+    def _turn(self, index: int, number: int) -> None:
+        """Plant `index` comes to frame `number`."""
+        if number:
+            self._advance(index)
+        if self._is_over(index):
+            return
+        frame = self._streams[index].show(self._others if index else self._book)
+        if self._driving.drives:
+            self._driving.shown(index, frame)
+        self._learning.shown(index, number, frame)
+        if index == 0:
+            self._tell(number)
+
+    def _advance(self, index: int) -> None:
+        if self._driving.drives:
+            self._driving.advance(index)
         else:
-            self._learning.step(number, frames, self._book)
+            self._streams[index].advance()
+
+    def _is_over(self, index: int) -> bool:
+        if self._driving.drives:
+            return self._driving.drives[index].is_over
+        return self._streams[index].plant.number >= self._arguments.frames
+
+    def _tell(self, number: int) -> None:
+        drives = self._driving.drives
+        if drives and drives[0].began is not None:
+            self._driving.tell(number)
+        else:
+            self._learning.tell(number, self._book)
+
+    def _lag(self) -> float:
+        """How long after a frame its prediction has come, lately [s]."""
+        lag = usual(self._asker.latencies)
+        return 0.0 if math.isnan(lag) else lag
 
     def result(self) -> Result:
         """What was found so far."""
-        frames, horizons = self._plant.number, self._arguments.horizons
-        planner, log = self._driving.planner, self._driving.log
+        horizons = self._arguments.horizons
+        drives = [driven(drive) for drive in self._driving.drives]
         return Result(
             system=self._arguments.system,
+            drive=self._arguments.drive,
             trajectories=len(self._streams),
-            frames=frames * len(self._streams),
-            simulated=frames * FRAME_INTERVAL,
+            frames=sum(stream.frames for stream in self._streams),
+            simulated=max(stream.plant.number for stream in self._streams) * FRAME_INTERVAL,
             elapsed=self._elapsed,
             early=pool(self._book.first, horizons),
             late=pool(self._book.last, horizons),
             others=pool(self._others.recent(), horizons),
             predict=latency(self._asker.latencies),
-            lqr=latency(planner.latencies),
             refused=self._asker.refused,
-            late_plans=planner.late,
-            drive=outcome(log.angles, log.torques, self._arguments.lqr.target_angle),
+            drives=drives,
+            totals=totals(drives, [d.driver.account for d in self._driving.drives]),
             completed=self._completed,
         )
 
     def record(self) -> Record:
         """What pictures are drawn from."""
-        log, shape = self._driving.log, self._plant.draw().shape
+        series = [drive.log.series() for drive in self._driving.drives]
+        shape = self._streams[0].plant.draw().shape
+        frames = self._driving.drives[0].log.frames if series else []
+        planned = self._driving.planned_pictures()
         return Record(
             self._arguments.system,
             self._book.first,
             list(self._book.last),
-            np.array(log.frames, np.uint8).reshape(-1, *shape),
-            np.array(log.angles),
-            np.array(log.torques),
-            self._arguments.lqr.target_angle,
-            self._arguments.lqr.torque_bound,
+            np.array(frames, np.uint8).reshape(-1, *shape),
+            stack_series(series),
+            self._target.angle,
+            self._arguments.driving.torque_bound,
+            np.zeros((0, *shape), np.uint8) if planned is None else planned,
         )

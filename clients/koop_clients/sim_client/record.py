@@ -1,9 +1,10 @@
-"""What a run keeps for pictures: its first and last predictions, and the drive."""
+"""What a run keeps for pictures: its first and last predictions, and the drives."""
 
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +13,6 @@ import numpy as np
 from koop_clients.sim_client.scoring import Forecast, Judged, judge
 
 _FIRST, _LAST = 20, 50  # forecasts
-_LONGEST_DRIVE = 2400  # frames
 
 
 class Scorebook:
@@ -34,21 +34,6 @@ class Scorebook:
         return [*self.first, *self.last][-count:]
 
 
-class DriveLog:
-    """Frame, angle [rad] and torque [N m] at each frame of a drive, in bounded memory."""
-
-    def __init__(self) -> None:
-        self.frames: deque[np.ndarray] = deque(maxlen=_LONGEST_DRIVE)
-        self.angles: deque[float] = deque(maxlen=_LONGEST_DRIVE)
-        self.torques: deque[float] = deque(maxlen=_LONGEST_DRIVE)
-
-    def add(self, frame: np.ndarray, angle: float, torque: float) -> None:
-        """A frame, and the torque that acts after it."""
-        self.frames.append(frame)
-        self.angles.append(angle)
-        self.torques.append(torque)
-
-
 @dataclass(frozen=True, eq=False)
 class Record:
     """A run as `--record` saves it.
@@ -57,21 +42,37 @@ class Record:
         system: name of the plant.
         early: some of the first forecasts, judged.
         late: some of the last ones.
-        drive_frames: (T, 64, 64) uint8, empty without a drive.
-        drive_angles: (T,) [rad].
-        drive_torques: (T,) [N m].
+        drive_frames: (T, 64, 64) uint8, of the first plant; empty without a drive.
+        drives: (plants, T, 3): angle [rad], rate [rad/s] and torque [N m] at each frame of each
+            plant's drive; NaN where one was shorter than the longest.
         target: angle to reach [rad].
         torque_bound: [N m].
+        planned: (N, 64, 64) uint8, what the first plant's blind plan was to lead to, frame by
+            frame after the first of `drive_frames`; empty without one.
     """
 
     system: str
     early: list[Judged]
     late: list[Judged]
     drive_frames: np.ndarray
-    drive_angles: np.ndarray
-    drive_torques: np.ndarray
+    drives: np.ndarray
     target: float
     torque_bound: float
+    planned: np.ndarray = field(default_factory=lambda: np.zeros((0, 64, 64), np.uint8))
+
+    @property
+    def drive_angles(self) -> np.ndarray:
+        """(T,) of the first plant [rad]."""
+        return self._first_drive()[:, 0]
+
+    @property
+    def drive_torques(self) -> np.ndarray:
+        """(T,) of the first plant [N m]."""
+        return self._first_drive()[:, 2]
+
+    def _first_drive(self) -> np.ndarray:
+        """(T, 3), T frames as in `drive_frames`."""
+        return self.drives[0, : len(self.drive_frames)] if len(self.drives) else np.zeros((0, 3))
 
     @property
     def ahead(self) -> int:
@@ -89,10 +90,10 @@ class Record:
                 file,
                 system=self.system,
                 drive_frames=self.drive_frames,
-                drive_angles=self.drive_angles,
-                drive_torques=self.drive_torques,
+                drives=self.drives,
                 target=self.target,
                 torque_bound=self.torque_bound,
+                planned=self.planned,
                 **arrays,
             )
 
@@ -105,11 +106,20 @@ class Record:
                 _forecasts("early", file),
                 _forecasts("late", file),
                 file["drive_frames"],
-                file["drive_angles"],
-                file["drive_torques"],
+                file["drives"],
                 float(file["target"]),
                 float(file["torque_bound"]),
+                file["planned"],
             )
+
+
+def stack_series(series: Sequence[np.ndarray]) -> np.ndarray:
+    """Arrays (T_i, 3) as one (N, T, 3), the shorter ones filled up with NaN."""
+    longest = max((len(rows) for rows in series), default=0)
+    stacked = np.full((len(series), longest, 3), np.nan)
+    for row, values in zip(stacked, series, strict=True):
+        row[: len(values)] = values
+    return stacked
 
 
 def _forecast_arrays(name: str, judged: list[Judged]) -> dict[str, np.ndarray]:

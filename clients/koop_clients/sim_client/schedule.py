@@ -1,9 +1,9 @@
-"""What drives the plant before the service may: the phases of a run and their torque laws.
+"""What moves the plant before a drive: its phases and their torque laws.
 
 An actuated plant is excited around its hanging position, where a second of open-loop prediction
 makes sense at all: near upright the plant is unstable, and a model's smallest error grows thirty
-times a second. Before lqr takes over the pole is lifted to the start and probed there, so that the
-service knows the region in which it will act.
+times a second. Before a drive it is excited around the target, the region in which control acts,
+and brought to its start at last. A model that only knows the start drives much worse.
 """
 
 from __future__ import annotations
@@ -14,7 +14,9 @@ from dataclasses import replace
 import numpy as np
 
 from koop_clients.mechanics.excitation import (
-    Lift,
+    Motion,
+    Passage,
+    Rest,
     excitation,
     near_reference,
     probing_tracking,
@@ -31,41 +33,51 @@ from koop_clients.mechanics.systems import System
 from koop_clients.sim_client.arguments import Arguments
 
 _GENTLE = 0.5  # share of the random torque that training sees
-_LONGEST_APPROACH = 5.0  # s before lqr takes over; half of the time where that is less
-_LIFT = 0.4  # share of it
-
-
-def takeover_frame(arguments: Arguments) -> float:
-    """Number of the first frame that lqr drives; infinite without lqr."""
-    return round(arguments.lqr.learn / FRAME_INTERVAL) if arguments.drive == "lqr" else math.inf
+_LONGEST_APPROACH, _APPROACH = 10.0, 0.7  # s before the drive; share of the time if that is less
+_LIFT, _SETTLE, _STILL = 0.2, 0.12, 0.03  # shares of it: to the target, to the start, at the start
 
 
 def approach_frame(arguments: Arguments) -> float:
-    """Number of the frame at which the pole's way to the start begins; infinite without lqr."""
-    return takeover_frame(arguments) - round(_approach(arguments) / FRAME_INTERVAL)
+    """Number of the frame at which the pole leaves hanging; infinite without a drive."""
+    return arguments.takeover - round(_approach(arguments) / FRAME_INTERVAL)
 
 
 def _approach(arguments: Arguments) -> float:
-    """How long the way to the start and the probing there take [s]."""
-    return min(_LONGEST_APPROACH, arguments.lqr.learn / 2)
+    """How long the excitation around the target takes, the ways there and to the start too [s]."""
+    return max(FRAME_INTERVAL, min(_LONGEST_APPROACH, _APPROACH * arguments.driving.learn))
 
 
-def excited(arguments: Arguments, system: System, rng: np.random.Generator) -> tuple[Policy, State]:
-    """The torque law until the service takes over, and the initial state."""
+def excited(
+    arguments: Arguments,
+    system: System,
+    target: float,
+    start: float,
+    rng: np.random.Generator,
+) -> tuple[Policy, State]:
+    """The torque law until the drive from `start` to `target` [rad], and the initial state."""
     if not arguments.is_actuated:
         return excitation(system, "free", rng)[0], random_state(system, rng)
-    hanging = math.copysign(math.pi, arguments.lqr.start_angle)
+    hanging = math.copysign(math.pi, start)
     reference = near_reference(rng, hanging)
     policy = soft_tracking(system, reference, rng, _GENTLE).policy()
     state = with_pole(system, *reference(0.0))
-    if arguments.drive == "lqr":
-        begin = approach_frame(arguments)
-        duration = max(FRAME_INTERVAL, _LIFT * _approach(arguments))
-        lift = Lift(hanging, arguments.lqr.start_angle, begin * FRAME_INTERVAL, duration)
+    if arguments.drives:
+        begin, length = approach_frame(arguments), _approach(arguments)
+        path = _path((hanging, target, start), begin * FRAME_INTERVAL, length, rng)
         # Held for each frame, as the service's torques will be.
-        probing = replace(probing_tracking(system, lift, rng), hold_frame=True)
+        probing = replace(probing_tracking(system, path, rng), hold_frame=True)
         policy = _in_turn(policy, probing.policy(), begin)
     return policy, state
+
+
+def _path(
+    angles: tuple[float, float, float], begin: float, length: float, rng: np.random.Generator
+) -> Motion:
+    """From the first angle [rad] to about the second, and to the last one `length` [s] later."""
+    first, around, last = angles
+    up = Passage(Rest(first), near_reference(rng, around), begin, _LIFT * length)
+    settle = begin + (1 - _SETTLE - _STILL) * length
+    return Passage(up, Rest(last), settle, _SETTLE * length)
 
 
 def _in_turn(first: Policy, then: Policy, frame: float) -> Policy:

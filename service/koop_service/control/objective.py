@@ -50,7 +50,7 @@ class LqrProblem:
         horizon: int,
         Q: ArrayLike,
         R: ArrayLike,
-        Qf: ArrayLike | Literal["riccati"] | None = "riccati",
+        Qf: ArrayLike | Literal["riccati"] | None = None,
         known: Mapping[int, ArrayLike] | None = None,
     ) -> "LqrProblem":
         """Check the arguments of `build_lqr`."""

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from koop_service.prediction.model import LinearModel
-from koop_service.prediction.rollout import check_history, rollout
+from koop_service.prediction.rollout import check_history
 
 from .bounds import control_range, first_step, rate_range
 from .equilibrium import Equilibrium, nearest_equilibrium
@@ -36,21 +36,27 @@ class StationaryPolicy:
 
     def control(self, history: Array, last_control: Array | None = None) -> Array:
         """The control (p,) now, after codes `history` (h, n); the rates need the last one (p,)."""
-        history = check_history(self.model, history)
-        u = self.rest.control - self.K @ (history - self.rest.code).reshape(-1)
+        return self._control(check_history(self.model, history).reshape(-1), last_control)
+
+    def plan(self, history: Array, horizon: int, last_control: Array | None = None) -> Array:
+        """Controls (N, p) that the policy expects to apply."""
+        x = check_history(self.model, history).reshape(-1)
+        A, B, c, n = self.model.A, self.model.B, self.model.c, self.model.code_size
+        controls = np.empty((horizon, len(self.K)))
+        for t in range(horizon):
+            controls[t] = last_control = self._control(x, last_control)
+            x = np.concatenate([x[n:], A @ x + B @ controls[t] + c])
+        return controls
+
+    def _control(self, x: Array, last_control: Array | None) -> Array:
+        """The control in state x (hn,)."""
+        x_s = np.concatenate([self.rest.code] * self.model.history)
+        u = self.rest.control - self.K @ (x - x_s)
         low, high = self.bounds
         if last_control is not None:
             slowest, fastest = self.rates
             low, high = first_step(low, high, last_control + slowest, last_control + fastest)
         return np.minimum(np.maximum(u, low), high)
-
-    def plan(self, history: Array, horizon: int, last_control: Array | None = None) -> Array:
-        """Controls (N, p) that the policy expects to apply."""
-        controls = np.empty((horizon, len(self.K)))
-        for t in range(horizon):
-            controls[t] = last_control = self.control(history, last_control)
-            history = np.concatenate([history[1:], rollout(self.model, history, controls[t, None])])
-        return controls
 
     def radius(self) -> float:
         """Largest eigenvalue modulus of the closed loop, below 1: how fast deviations die."""

@@ -27,7 +27,7 @@ def build_lqr(
     u_min: ArrayLike | None = None,
     u_max: ArrayLike | None = None,
     *,
-    Qf: ArrayLike | Literal["riccati"] | None = "riccati",
+    Qf: ArrayLike | Literal["riccati"] | None = None,
     du_min: ArrayLike | None = None,
     du_max: ArrayLike | None = None,
     last_control: ArrayLike | None = None,
@@ -38,8 +38,8 @@ def build_lqr(
     target: (n,), a code to reach and rest at; or (K, n), the code to be on at each step from 1,
     the last one repeated where K < N.
     Q (n, n) positive semidefinite and R (p, p) positive definite: each a number (times the
-    identity), a vector (diagonal) or a matrix. Qf: the end's weight, see `terminal_weight`; the
-    default is what going on for ever costs, None the paper's eq. 13.
+    identity), a vector (diagonal) or a matrix. Qf: the end's weight, see `terminal_weight`; None
+    is the paper's eq. 13, "riccati" what going on for ever costs.
     u_min, u_max: a number or (p,), in the controls' unit, infinite or None where unbounded.
     du_min <= 0 <= du_max: the same for the change from one step to the next. last_control: (p,),
     the control that acts now; without it the first change is free.

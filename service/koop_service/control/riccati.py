@@ -46,7 +46,7 @@ def lqr_riccati(
     Q: ArrayLike,
     R: ArrayLike,
     *,
-    Qf: ArrayLike | Literal["riccati"] | None = "riccati",
+    Qf: ArrayLike | Literal["riccati"] | None = None,
 ) -> Array:
     """Controls (N, p) that minimise eq. 13 from `history` (h, n) to `target`; no bounds.
 

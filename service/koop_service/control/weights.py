@@ -51,15 +51,16 @@ def _matrix(name: str, value: ArrayLike, size: int, *, definite: bool) -> Array:
 
 
 def terminal_weight(
-    model: LinearModel, weights: LqrWeights, Qf: ArrayLike | Literal["riccati"] | None = "riccati"
+    model: LinearModel, weights: LqrWeights, Qf: ArrayLike | Literal["riccati"] | None = None
 ) -> Array:
     """The last step's weight (hn, hn), on the deviation of x_N from rest at the target.
 
-    "riccati": what going on for ever costs (`stationary_cost`), where a control can make the model
-    stable; else, and for None, Q on the last code as on any other. A number, (n,) or (n, n) is a
-    weight on the last code, (hn, hn) one on the last h codes. Raises ValueError as for Q.
+    None: Q on the last code as on any other, the paper's eq. 13. "riccati": what going on for ever
+    costs (`stationary_cost`), where a control can make the model stable, else as for None. A
+    number, (n,) or (n, n) is a weight on the last code, (hn, hn) one on the last h codes. Raises
+    ValueError as for Q.
 
-    It takes about as long as the QP: whoever plans at every frame may keep it for some frames.
+    "riccati" takes about as long as the QP: whoever plans at every frame may keep it for some.
     """
     if isinstance(Qf, str):
         if Qf != "riccati":

@@ -12,7 +12,7 @@ import numpy as np
 from .compiled import Array, Integers
 from .factor import Factor, check, init
 from .factor_batch import FactorBatch
-from .innovation import InnovationStatistics
+from .innovation import RECENT, InnovationStatistics
 from .interleaved import DENSE, LANES
 from .posterior import excitation
 from .settings import EstimatorSettings
@@ -71,7 +71,8 @@ class Bank:
     def reset(self, lane: int) -> None:
         """Back to the prior, for a new epoch of the same trajectory."""
         self._require_open(lane)
-        self._put(lane, init(self.settings), np.zeros((self.settings.code_size,) * 2), 0)
+        n = self.settings.code_size
+        self._put(lane, init(self.settings), np.zeros((n, n)), 0, np.zeros((RECENT, n)))
 
     def fold(self, lanes: Integers, W: Array, Y: Array) -> Array:
         """Fold transition b, W[b] (d,) -> Y[b] (n,), into lane lanes[b] for all b of B, in order.
@@ -101,6 +102,11 @@ class Bank:
         self._require_open(lane)
         return self._statistics.covariance(lane)
 
+    def innovations(self, lane: int) -> Array:
+        """The newest normalised innovations (K, n), oldest first; K up to 10, 0 until warmed up."""
+        self._require_open(lane)
+        return self._statistics.recent(lane)
+
     def updates(self, lane: int) -> int:
         """Transitions folded since the lane was opened or reset."""
         self._require_open(lane)
@@ -129,6 +135,7 @@ class Bank:
             "ring": factor.ring,
             "steps": factor.steps,
             "covariance": self._statistics.covariance(lane),
+            "innovations": self._statistics.ring(lane),
             "updates": self._statistics.seen(lane),
         }
 
@@ -150,11 +157,14 @@ class Bank:
             array["ring"],
             int(snapshot["steps"]),
         )
-        self._put(lane, factor, array["covariance"], int(snapshot["updates"]))
+        updates = int(snapshot["updates"])
+        self._put(lane, factor, array["covariance"], updates, array["innovations"])
 
-    def _put(self, lane: int, factor: Factor, covariance: Array, updates: int) -> None:
+    def _put(
+        self, lane: int, factor: Factor, covariance: Array, updates: int, innovations: Array
+    ) -> None:
         check(self.settings, factor)
-        self._statistics.insert(lane, covariance, updates)
+        self._statistics.insert(lane, covariance, updates, innovations)
         self._factors.insert(lane, factor)
 
     def _grow(self) -> None:
@@ -168,7 +178,7 @@ class Bank:
             raise ValueError(f"lane {lane} is not open; expected one that open() gave")
 
 
-_ARRAYS = ("rows", "anchor", "centre", "ring", "covariance")
+_ARRAYS = ("rows", "anchor", "centre", "ring", "covariance", "innovations")
 
 
 def warm_up(settings: EstimatorSettings) -> None:

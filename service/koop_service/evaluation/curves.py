@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from koop_service.evaluation.assessment import Result
 from koop_service.evaluation.metrics import spread_over_time
-from koop_service.evaluation.theme import DPI, LOOKS, QUIET, STYLE, TEXT, name_line, spread_labels
+from koop_service.evaluation.theme import DPI, LOOKS, QUIET, TEXT, name_line, spread_labels, styled
 
 _LABEL_GAP = 0.065  # of the panel's height
 
@@ -21,7 +20,7 @@ Panel = tuple[Result, Sequence[str]]
 
 def draw_curves(panels: Sequence[Panel]) -> Figure:
     """One panel a system, side by side, each on its own scale."""
-    with mpl.rc_context(STYLE):
+    with styled():
         figure = Figure(figsize=(5.6 * len(panels), 3.5), dpi=DPI, layout="constrained")
         all_axes = np.atleast_1d(figure.subplots(1, len(panels))).tolist()
         for axes, (result, methods) in zip(all_axes, panels, strict=True):

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import os
-import shutil
 import subprocess
 import sys
 from dataclasses import dataclass
@@ -15,6 +14,7 @@ import h5py
 import numpy as np
 
 from koop_protocol import recording as names
+from koop_service.evaluation.programs import find_program
 from koop_service.evaluation.systems import FIRST_TEST_SEED, System
 from koop_service.learning.recording import Recording, load_recording
 
@@ -63,19 +63,8 @@ def test_set(system: System, trajectories: int, seed: int, folder: Path) -> Test
 
 def _make(path: Path, wanted: list[str]) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
-    command = [_koop_dataset(), *wanted, "--out", str(path)]
+    command = [find_program("koop-dataset"), *wanted, "--out", str(path)]
     print(f"koop-eval: koop-dataset {' '.join(command[1:])}", file=sys.stderr)
     code = subprocess.run(command, stdout=subprocess.DEVNULL, check=False).returncode
     if code:
         raise ValueError(f"koop-dataset failed with exit code {code}; its message is above")
-
-
-def _koop_dataset() -> str:
-    """The command beside this interpreter, or on the path."""
-    beside = Path(sys.executable).with_name("koop-dataset")
-    found = str(beside) if beside.exists() else shutil.which("koop-dataset")
-    if found is None:
-        raise ValueError(
-            "koop-dataset, which makes the test sets, is not installed: pip install 'koop[train]'"
-        )
-    return found

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from koop_service.estimation.settings import EstimatorSettings
+from koop_service.learning.streaming import regressor
 
 Array = NDArray[np.float64]
 
@@ -71,7 +72,7 @@ def roll_out(Theta: Array, history: Array, controls: Array, settings: EstimatorS
     h, K = history.shape[1], controls.shape[1]
     codes = np.concatenate([history, np.zeros((len(history), K, history.shape[2]))], axis=1)
     for t in range(h, h + K):
-        w = _regressor(codes[:, t - h : t], controls[:, t - h], settings)
+        w = regressor(codes[:, t - h : t], controls[:, t - h], settings)
         codes[:, t] = np.clip(np.einsum("knd,kd->kn", Theta, w), -SATURATION, SATURATION)
     return codes[:, h:]
 
@@ -82,7 +83,7 @@ def transitions(
     """(W (N, d), Y (N, n)) of each target frame first ... last, as they would be measured."""
     h = settings.history
     for t in range(max(first, h), last + 1):
-        yield _regressor(codes[:, t - h : t], controls[:, t - 1], settings), codes[:, t]
+        yield regressor(codes[:, t - h : t], controls[:, t - 1], settings), codes[:, t]
 
 
 def stacked(
@@ -92,10 +93,3 @@ def stacked(
     pairs = list(transitions(codes, controls, 1, codes.shape[1] - 1, settings))
     W, Y = (np.stack(part, axis=1) for part in zip(*pairs, strict=True))
     return zip(W, Y, strict=True)
-
-
-def _regressor(recent: Array, control: Array, settings: EstimatorSettings) -> Array:
-    """w (N, d) of the h newest codes (N, h, n) and the control (N, p) that acts after them."""
-    count = len(recent)
-    constant = np.ones((count, int(settings.affine)))
-    return np.concatenate([recent.reshape(count, -1), control, constant], axis=1)

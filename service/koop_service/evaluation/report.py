@@ -68,8 +68,8 @@ def _claims(checked: Sequence[tuple[Claim, Finding]]) -> str:
         (_source(claim), claim.system, claim.text, f.ours, "yes" if f.holds else "**no**")
         for claim, f in checked
     ]
-    table = _table(("from", "system", "claim", "our numbers", "holds"), rows)
-    return f"## Claims\n\n{held} of {len(checked)} hold.\n\n{table}"
+    listed = table(("from", "system", "claim", "our numbers", "holds"), rows)
+    return f"## Claims\n\n{held} of {len(checked)} hold.\n\n{listed}"
 
 
 def _source(claim: Claim) -> str:
@@ -84,7 +84,7 @@ def _numbers(result: Result) -> str:
         cells = [f"{s.rmse:.4f} ({s.p10:.3f} to {s.p90:.3f})" for s in scores]
         rows.append((LOOKS[method].label, *cells))
     head = ("method", *(f"{horizon:g} s" for horizon, _ in spots))
-    return f"### {result.system.name}: {result.system.title}\n\n{_table(head, rows)}"
+    return f"### {result.system.name}: {result.system.title}\n\n{table(head, rows)}"
 
 
 def _angles(results: Results) -> str:
@@ -100,7 +100,7 @@ def _angles(results: Results) -> str:
         "brightest ball's centroid about the pivot) and compared with the simulator's."
     )
     head = ("system", "method", "within 5 degrees", "median error [degrees]")
-    return f"## The pole's angle\n\n{words}\n\n{_table(head, rows)}"
+    return f"## The pole's angle\n\n{words}\n\n{table(head, rows)}"
 
 
 def _median(errors: np.ndarray) -> float:
@@ -133,7 +133,7 @@ def _method(results: Results) -> str:
 def _models(results: Results) -> str:
     rows = [_model(result) for result in results.values()]
     head = ("system", "weights", "trajectories", "trained on", "trained by")
-    return f"## Models\n\n{_table(head, rows)}"
+    return f"## Models\n\n{table(head, rows)}"
 
 
 def _model(result: Result) -> tuple[str, ...]:
@@ -148,6 +148,6 @@ def _notes(notes: Sequence[str]) -> str:
     return "## Left out\n\n" + "\n".join(f"- {note}" for note in notes) if notes else ""
 
 
-def _table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+def table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
     lines = [head, ["---"] * len(head), *rows]
     return "\n".join("| " + " | ".join(line) + " |" for line in lines)

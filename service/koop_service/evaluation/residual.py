@@ -7,12 +7,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-import matplotlib as mpl
 import numpy as np
 from matplotlib.figure import Figure
 
 from koop_service.evaluation.forecasts import Array
-from koop_service.evaluation.theme import DPI, SERIES, STYLE, name_line, spread_labels
+from koop_service.evaluation.theme import DPI, SERIES, name_line, spread_labels, styled
 
 _SMOOTHED = 0.03  # share of the steps in the running mean that is drawn
 
@@ -45,7 +44,7 @@ def read_log(path: Path) -> TrainingLog | None:
 
 def draw_residuals(logs: Mapping[str, TrainingLog]) -> Figure:
     """One line a system, on a logarithmic scale."""
-    with mpl.rc_context(STYLE):
+    with styled():
         figure = Figure(figsize=(7.0, 3.5), dpi=DPI, layout="constrained")
         axes = figure.subplots()
         axes.set_yscale("log")

@@ -7,21 +7,18 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from koop_service.evaluation.assessment import Result
-from koop_service.evaluation.theme import DPI, LOOKS, PANEL, QUIET, STYLE, TEXT
+from koop_service.evaluation.theme import DPI, GREYS, LOOKS, QUIET, TEXT, styled
 
 COLUMNS, LATER = 8, 30  # frames in a block; steps from the first block to the second
 
 _WIDTH, _LABELS, _GAP, _HEADING, _FOOT = 11.0, 1.25, 0.2, 0.5, 0.05  # inches
 _SEPARATOR = 2  # pixels between pictures
-_GREYS = LinearSegmentedColormap.from_list("greys", [PANEL, "#ffffff"])
 
 
 def draw_strip(result: Result, methods: Sequence[str]) -> Figure:
@@ -30,7 +27,7 @@ def draw_strip(result: Result, methods: Sequence[str]) -> Figure:
     block = (_WIDTH - _LABELS - _GAP - _FOOT) / 2
     tall = block * len(rows) / COLUMNS
     height = _HEADING + tall + _FOOT
-    with mpl.rc_context(STYLE):
+    with styled():
         figure = Figure(figsize=(_WIDTH, height), dpi=DPI)
         for i, after in enumerate((0, LATER)):
             left = _LABELS + i * (block + _GAP)
@@ -46,7 +43,7 @@ def draw_strip(result: Result, methods: Sequence[str]) -> Figure:
 def _block(axes: Axes, result: Result, rows: Sequence[str], after: int) -> None:
     first = result.system.fit_frames + after
     pictures = np.stack([result.strip[row][first : first + COLUMNS] for row in rows])
-    axes.imshow(_mosaic(pictures), cmap=_GREYS, vmin=0, vmax=255, aspect="auto")
+    axes.imshow(mosaic(pictures), cmap=GREYS, vmin=0, vmax=255, aspect="auto")
     axes.set_axis_off()
     begin, end = ((after + k) * result.dt for k in (1, COLUMNS))
     axes.annotate(
@@ -59,7 +56,7 @@ def _block(axes: Axes, result: Result, rows: Sequence[str], after: int) -> None:
     )
 
 
-def _mosaic(pictures: NDArray[np.uint8]) -> NDArray[np.float64]:
+def mosaic(pictures: NDArray[np.uint8]) -> NDArray[np.float64]:
     """One masked picture of (rows, columns, H, W), with gaps between."""
     rows, columns, height, width = pictures.shape
     tile = (height + _SEPARATOR, width + _SEPARATOR)

@@ -6,14 +6,22 @@ Offline, partial and full are red, blue and green, as in the paper.
 from __future__ import annotations
 
 import itertools
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
 from typing import Any
 
+import matplotlib as mpl
+from matplotlib import font_manager
 from matplotlib.axes import Axes
+from matplotlib.colors import LinearSegmentedColormap
 
 BACKGROUND, PANEL, LINE = "#0e1218", "#05070a", "#2b333d"
 TEXT, QUIET = "#e8edf2", "#93a0ad"
 DPI = 150
+GREYS = LinearSegmentedColormap.from_list("greys", [PANEL, "#ffffff"])
+"""Of pictures."""
 
 STYLE: Any = {
     "figure.facecolor": BACKGROUND,
@@ -61,6 +69,25 @@ LOOKS = {
 }
 SERIES = ("#5aa9ff", "#ff5d5d", "#4fd18b", "#f5b83d", "#c58bff", "#5fd4d6", "#e58fb8")
 """Colours of lines that stand for systems."""
+
+
+def styled() -> AbstractContextManager[None]:
+    """The context in which figures are made."""
+    _complete_fonts()
+    return mpl.rc_context(STYLE)
+
+
+@cache
+def _complete_fonts() -> None:
+    """Let matplotlib find the fonts that it ships, whatever its list of fonts says.
+
+    It keeps one list for all environments of a user. Made while one of them was being installed or
+    removed, the list lacks those fonts for good, and every axis with powers of ten warns of it.
+    """
+    known = {Path(font.fname) for font in font_manager.fontManager.ttflist}
+    for path in Path(mpl.get_data_path(), "fonts", "ttf").glob("*.ttf"):
+        if path not in known:
+            font_manager.fontManager.addfont(path)
 
 
 def spread_labels(heights: list[float], gap: float) -> list[float]:

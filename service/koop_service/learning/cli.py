@@ -77,6 +77,7 @@ class Arguments:
 def main() -> None:
     """Entry point."""
     arguments = tyro.cli(Arguments, prog="koop-train")
+    hardware.tune_allocator()
     try:
         run(arguments)
     except InterruptedTrainingError as stopped:
@@ -88,7 +89,6 @@ def main() -> None:
 
 def run(arguments: Arguments) -> None:
     """Load, train, judge on held-out trajectories, and write the weights."""
-    hardware.keep_freed_memory()
     if arguments.threads:
         torch.set_num_threads(arguments.threads)
     _check_writable(arguments.out)

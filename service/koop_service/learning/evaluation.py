@@ -39,7 +39,7 @@ class Evaluation:
 def encode_all(codec: ImageCodec, recording: Recording) -> list[Encoded]:
     """Every trajectory of `recording` with its codes."""
     return [
-        Encoded(frames / 255.0, codec.encode(frames), controls)
+        Encoded(frames / np.float32(255), codec.encode(frames), controls)
         for frames, controls in zip(recording.frames, recording.controls, strict=True)
     ]
 

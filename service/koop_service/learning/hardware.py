@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
-import ctypes
+import os
 import sys
 from dataclasses import dataclass
 
 import torch
 
-# Parameters of glibc's mallopt, and what they are set to [bytes].
-_M_TRIM_THRESHOLD, _KEPT = -1, 2**29
-_M_MMAP_THRESHOLD, _LARGE = -3, 2**25
+# Of glibc's malloc, by `tune_allocator`.
+_TUNED = {
+    "trim_threshold": 2**29,  # bytes
+    "mmap_threshold": 2**25,  # bytes
+    "tcache_count": 0,
+    "mxfast": 0,
+}
+_TUNABLES = ":".join(f"glibc.malloc.{name}={value}" for name, value in _TUNED.items())
 
 
 @dataclass(frozen=True)
@@ -26,16 +31,19 @@ class Hardware:
         return torch.autocast(self.device.type, torch.bfloat16, enabled=mixed)
 
 
-def keep_freed_memory() -> None:
-    """Have glibc's malloc hold on to what a step frees, since the next one asks for as much.
+def tune_allocator() -> None:
+    """Start this program over, once, with glibc's malloc set for training; for its `main` alone.
 
-    Returning it to the kernel and faulting it in again took a fifth of the autoencoder's time.
+    It keeps what a step frees, since the next one asks for as much: returning it to the kernel and
+    faulting it in again took a fifth of the autoencoder's time. And it sets no small chunks aside:
+    torch's aligned tensors leave scraps beside them, and scraps set aside keep the room of freed
+    tensors apart. The heap grew to 1.6 GB in 200 steps that need 0.2 GB at a time; without, 0.6 GB
+    at the same speed. The caches for threads can only be turned off before a program starts.
     """
-    if sys.platform == "linux":
-        mallopt = getattr(ctypes.CDLL(None), "mallopt", None)  # musl has none
-        if mallopt is not None:
-            mallopt(_M_TRIM_THRESHOLD, _KEPT)
-            mallopt(_M_MMAP_THRESHOLD, _LARGE)
+    before = os.environ.get("GLIBC_TUNABLES", "")
+    if sys.platform == "linux" and _TUNABLES not in before:
+        os.environ["GLIBC_TUNABLES"] = ":".join(part for part in (before, _TUNABLES) if part)
+        os.execv(sys.executable, [sys.executable, *sys.orig_argv[1:]])
 
 
 def choose(device: str = "auto", precision: str = "auto", local_rank: int = 0) -> Hardware:

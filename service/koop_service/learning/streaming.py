@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from koop_service.estimation import factor
 from koop_service.estimation.innovation import InnovationStatistics
@@ -13,12 +14,14 @@ from koop_service.estimation.proximal import solve
 from koop_service.estimation.settings import EstimatorSettings
 from koop_service.prediction.model import LinearModel
 
+Array = NDArray[np.float64]
+
 STRIDE = 10  # frames between two moments that are judged
 
 
 @dataclass(frozen=True, eq=False)
 class Encoded:
-    """One trajectory: `images` (T, H, W) in [0, 1], `codes` (T, n), `controls` (T-1, p)."""
+    """One trajectory: `images` (T, H, W) float32 in [0, 1], `codes` (T, n), `controls` (T-1, p)."""
 
     images: np.ndarray
     codes: np.ndarray
@@ -59,14 +62,13 @@ def moments(trajectory: Encoded, settings: EstimatorSettings, ahead: int) -> Ite
                 controls[t : t + ahead],
                 codes[t + 1 : t + 1 + ahead],
             )
-        w = _regressor(codes, controls, t, settings)
+        w = regressor(codes[t - h + 1 : t + 1], controls[t], settings)
         innovation = factor.update(state, settings, w, codes[t + 1])
         statistics.fold(lane, innovation[None])
 
 
-def _regressor(
-    codes: np.ndarray, controls: np.ndarray, t: int, settings: EstimatorSettings
-) -> np.ndarray:
-    """w_t = [z_{t-h+1}; ...; z_t; u_t; 1] (d,)."""
-    past = codes[t - settings.history + 1 : t + 1].ravel()
-    return np.concatenate([past, controls[t], np.ones(int(settings.affine))])
+def regressor(recent: Array, control: Array, settings: EstimatorSettings) -> Array:
+    """w_t = [z_{t-h+1}; ...; z_t; u_t; 1?] (..., d) of codes (..., h, n) and control (..., p)."""
+    past = recent.reshape(*control.shape[:-1], -1)
+    constant = np.ones((*control.shape[:-1], int(settings.affine)))
+    return np.concatenate([past, control, constant], axis=-1)

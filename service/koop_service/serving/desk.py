@@ -17,10 +17,14 @@ from koop_protocol import (
     ErrorCode,
     KeyKind,
     Limits,
+    LqrCancel,
     LqrQuery,
+    LqrTask,
+    Message,
     PredictQuery,
     ProtocolError,
     check_trajectory,
+    decode,
     decode_as,
     encode,
     lqr_key,
@@ -29,6 +33,7 @@ from koop_protocol import (
     state_key,
 )
 from koop_service.serving import queries
+from koop_service.serving.commander import Commander
 from koop_service.serving.intake import Intake
 from koop_service.serving.logs import Brake
 from koop_service.serving.metrics import Metrics
@@ -61,12 +66,14 @@ class Desk:
         self,
         intake: Intake[Question],
         registry: Registry,
+        commander: Commander,
         outbox: Outbox,
         metrics: Metrics,
         limits: Limits,
     ) -> None:
         self._intake = intake
         self._registry = registry
+        self._commander = commander
         self._outbox = outbox
         self._metrics = metrics
         self._limits = limits
@@ -177,17 +184,34 @@ class Desk:
 
     def _understand(self, question: Question) -> _Answer:
         """The function from a trajectory to the reply's bytes. Raises ProtocolError."""
+        reply = self._replier(question)
+        return lambda trajectory: encode(reply(trajectory), self._limits)
+
+    def _replier(self, question: Question) -> Callable[[Trajectory], Message]:
         limits, payload = self._limits, question.payload
         if question.kind is KeyKind.state:
-            return lambda trajectory: encode(queries.state(trajectory), limits)
+            return queries.state
         if question.kind is KeyKind.lqr:
-            lqr = decode_as(LqrQuery, _required(payload), limits)
-            return lambda trajectory: encode(queries.control(trajectory, lqr), limits)
+            return self._controller(decode(_required(payload), limits))
         if payload is None:
             prediction = predict_query_from_parameters(question.parameters, limits)
         else:
             prediction = decode_as(PredictQuery, payload, limits)
-        return lambda trajectory: encode(queries.predict(trajectory, prediction), limits)
+        return lambda trajectory: queries.predict(trajectory, prediction)
+
+    def _controller(self, order: Message) -> Callable[[Trajectory], Message]:
+        if isinstance(order, LqrQuery):
+            return lambda trajectory: queries.control(trajectory, order)
+        if isinstance(order, LqrTask):
+            return lambda trajectory: self._commander.begin(trajectory, order)
+        if isinstance(order, LqrCancel):
+            return lambda trajectory: self._commander.cancel(trajectory, order)
+        raise ProtocolError(
+            ErrorCode.malformed,
+            f"a {type(order).__name__} came as a query",
+            "an lqr_query, lqr_task or lqr_cancel message",
+            "send each message on the key that docs/wire.md names for it",
+        )
 
     def _find(self, name: str) -> Trajectory:
         check_trajectory(name)
@@ -220,7 +244,7 @@ def _required(payload: bytes | None) -> bytes:
         raise ProtocolError(
             ErrorCode.malformed,
             "the query has no payload",
-            "an lqr_query message as its payload",
+            "an lqr_query, lqr_task or lqr_cancel message as its payload",
             "see docs/wire.md",
         )
     return payload

@@ -8,9 +8,19 @@ from contextlib import ExitStack, contextmanager
 
 import zenoh
 
-from koop_protocol import CONTROLS, FRAMES, LQRS, PREDICTIONS, STATES, ErrorCode, ProtocolError
-from koop_protocol.keys import KeyKind
-from koop_service.serving.intake import Intake
+from koop_protocol import (
+    CLIENT_TOKENS,
+    CONTROLS,
+    FRAMES,
+    LQRS,
+    PREDICTIONS,
+    STATES,
+    ErrorCode,
+    KeyKind,
+    ProtocolError,
+    owner_of,
+)
+from koop_service.serving.intake import Intake, Presence
 from koop_service.serving.metrics import Metrics
 from koop_service.serving.questions import Question, ZenohQuestion, error_bytes
 
@@ -20,7 +30,7 @@ _QUERYABLES = {PREDICTIONS: KeyKind.predict, LQRS: KeyKind.lqr, STATES: KeyKind.
 
 
 class Endpoint:
-    """What the service hears: frames, controls and queries."""
+    """What the service hears: frames, controls, queries, and who is there."""
 
     def __init__(self, intake: Intake[Question], metrics: Metrics, max_bytes: int) -> None:
         self._intake = intake
@@ -34,6 +44,10 @@ class Endpoint:
             for key in (FRAMES, CONTROLS):
                 callback = zenoh.handlers.Callback(self._measure, indirect=False)
                 stack.enter_context(session.declare_subscriber(key, callback))
+            callback = zenoh.handlers.Callback(self._notice, indirect=False)
+            stack.enter_context(
+                session.liveliness().declare_subscriber(CLIENT_TOKENS, callback, history=True)
+            )
             for key, kind in _QUERYABLES.items():
                 callback = zenoh.handlers.Callback(self._asker(kind), indirect=False)
                 stack.enter_context(session.declare_queryable(key, callback))
@@ -50,6 +64,14 @@ class Endpoint:
         if not taken:
             self._metrics.lost.inc()
 
+    def _notice(self, sample: zenoh.Sample) -> None:
+        try:
+            owner = owner_of(str(sample.key_expr))
+        except ProtocolError as error:
+            log.warning("a client's liveliness token is passed over: %s", error)
+            return
+        self._intake.notice(Presence(owner, sample.kind == zenoh.SampleKind.PUT))
+
     def _asker(self, kind: KeyKind) -> Callable[[zenoh.Query], None]:
         def ask(query: zenoh.Query) -> None:
             question = ZenohQuestion(kind, query, self._max_bytes)
@@ -59,6 +81,17 @@ class Endpoint:
                 question.close()
 
         return ask
+
+
+def put_command(session: zenoh.Session, key: str, payload: bytes) -> None:
+    """Send a command ahead of everything else, at once or not at all: an old one is of no use."""
+    session.put(
+        key,
+        payload,
+        congestion_control=zenoh.CongestionControl.DROP,
+        priority=zenoh.Priority.REAL_TIME,
+        express=True,
+    )
 
 
 def _too_large(size: int, limit: int) -> ProtocolError:

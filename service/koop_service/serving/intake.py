@@ -9,6 +9,7 @@ else's. `take_of` is the short cut that serves such measurements first.
 from __future__ import annotations
 
 import threading
+import time
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -23,7 +24,7 @@ Q = TypeVar("Q")
 class Arrival:
     """One measurement's bytes as they came, or what was wrong with them before they were read.
 
-    `taken` marks what a short cut took out of turn.
+    `taken` marks what a short cut took out of turn. `at` is when it came, by time.monotonic [s].
     """
 
     key: str
@@ -31,6 +32,7 @@ class Arrival:
     ticket: int
     fault: ProtocolError | None = None
     taken: bool = False
+    at: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,6 +41,14 @@ class Waiting(Generic[Q]):
 
     query: Q
     ticket: int
+
+
+@dataclass(frozen=True, slots=True)
+class Presence:
+    """An owner of tasks came (`here`) or went."""
+
+    owner: str
+    here: bool
 
 
 def lane_of(key: str) -> str:
@@ -72,6 +82,7 @@ class Intake(Generic[Q]):
         self._order: deque[Arrival] = deque()
         self._lanes: dict[str, deque[Arrival]] = {}
         self._queries: deque[Waiting[Q]] = deque()
+        self._presences: deque[Presence] = deque()
         self._unanswered = 0
         self._query_bytes = 0
         self._messages = 0
@@ -91,13 +102,14 @@ class Intake(Generic[Q]):
 
     def put(self, key: str, data: bytes, fault: ProtocolError | None = None) -> bool:
         """Add a measurement, waiting for space; False if the queue was closed instead."""
+        now = time.monotonic()
         with self._lock:
             if self._full(len(data)):
                 self._held()
                 self._space.wait_for(lambda: self._closed or not self._full(len(data)))
             if self._closed:
                 return False
-            self._add(Arrival(key, data, self._next_ticket(), fault))
+            self._add(Arrival(key, data, self._next_ticket(), fault, at=now))
             self._work.notify()
         return True
 
@@ -119,10 +131,16 @@ class Intake(Generic[Q]):
             self._unanswered -= 1
             self._query_bytes -= size
 
+    def notice(self, presence: Presence) -> None:
+        """Add that an owner came or went; never blocks, and is never refused."""
+        with self._lock:
+            self._presences.append(presence)
+            self._work.notify()
+
     def wait(self, timeout: float) -> None:
         """Until something is there, the queues are closed, or `timeout` [s] has passed."""
         with self._lock:
-            self._work.wait_for(lambda: self._queries or self._messages or self._closed, timeout)
+            self._work.wait_for(self._has_work, timeout)
 
     def take(self, count: int) -> list[Arrival]:
         """The oldest measurements, at most `count`."""
@@ -154,6 +172,13 @@ class Intake(Generic[Q]):
             self._queries.clear()
             return queries
 
+    def take_presences(self) -> list[Presence]:
+        """Who came and went since the last call, in order."""
+        with self._lock:
+            presences = list(self._presences)
+            self._presences.clear()
+            return presences
+
     def is_behind(self, ticket: int, lane: str | None) -> bool:
         """Whether a measurement of this trajectory (None: of any) older than `ticket` waits."""
         with self._lock:
@@ -165,6 +190,9 @@ class Intake(Generic[Q]):
             self._closed = True
             self._work.notify_all()
             self._space.notify_all()
+
+    def _has_work(self) -> bool:
+        return bool(self._queries or self._presences or self._messages or self._closed)
 
     def _full(self, size: int) -> bool:
         if self._messages == 0:

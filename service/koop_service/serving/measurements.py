@@ -42,10 +42,11 @@ Array = NDArray[np.float64]
 
 @dataclass(slots=True)
 class _Accepted:
-    """A message that will be folded; a frame's code is computed in between."""
+    """A message that came at `at` [s] and will be folded; a frame's code is computed in between."""
 
     trajectory: Trajectory
     message: Frame | Control
+    at: float
     code: Array | None = None
 
 
@@ -61,19 +62,23 @@ class Measurements:
         self._limits = limits
         self._brake = Brake()
 
-    def process(self, arrivals: list[Arrival]) -> None:
-        """Use every arrival or account for it; raises nothing."""
+    def process(self, arrivals: list[Arrival]) -> dict[Trajectory, float]:
+        """Use every arrival or account for it; raises nothing.
+
+        Returns the trajectories that have a new newest frame, and when that came [s].
+        """
         accepted: list[_Accepted] = []
+        advanced: dict[Trajectory, float] = {}
         for arrival in arrivals:
             message = self._read(arrival)
             if message is None:
                 continue
             if self._registry.would_replace(message):
                 # A new run with other controls: what its predecessor sent goes first.
-                self._fold(accepted)
+                advanced |= self._fold(accepted)
                 accepted = []
             self._accept(arrival, message, accepted)
-        self._fold(accepted)
+        return advanced | self._fold(accepted)
 
     def _read(self, arrival: Arrival) -> Frame | Control | None:
         try:
@@ -105,22 +110,28 @@ class Measurements:
         except Exception:
             self._lose("admitting a message", 1)
         else:
-            accepted.append(_Accepted(trajectory, message))
+            accepted.append(_Accepted(trajectory, message, arrival.at))
 
-    def _fold(self, accepted: list[_Accepted]) -> None:
+    def _fold(self, accepted: list[_Accepted]) -> dict[Trajectory, float]:
+        """Fold them, and tell which trajectories have a new newest frame, and since when."""
         self._encode(accepted)
         folded = {Frame: 0, Control: 0}
+        advanced: dict[Trajectory, float] = {}
         for item in accepted:
+            before = item.trajectory.last_seq
             if self._fold_one(item):
                 folded[type(item.message)] += 1
+            if item.trajectory.last_seq != before:
+                advanced[item.trajectory] = item.at
         try:
             updates = self._registry.update_estimators({item.trajectory: None for item in accepted})
         except Exception:
             self._lose("updating the estimators", len(accepted))
-            return
+            return {}
         self._metrics.frames.inc(folded[Frame])
         self._metrics.controls.inc(folded[Control])
         self._metrics.updates.inc(updates)
+        return advanced
 
     def _fold_one(self, item: _Accepted) -> bool:
         message = item.message

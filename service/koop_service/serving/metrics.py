@@ -22,6 +22,7 @@ class Metrics:
         self.refused = self._counter("refused", "Queries answered by an error, by code", ["code"])
         self.unsent = self._counter("unsent", "Answers given up because callers did not read them")
         self.held = self._counter("held", "Times a source was held back by a full queue")
+        self.commands = self._counter("commands", "Commands put, by the plan's status", ["status"])
         self.batch = Histogram(
             "koop_batch_frames",
             "Frames in one encoder batch",
@@ -38,6 +39,13 @@ class Metrics:
             "koop_query_seconds",
             "Time from a query's arrival to its last answer [s]",
             ["kind"],
+            buckets=_SECONDS,
+            registry=self.registry,
+        )
+
+        self.commanding = Histogram(
+            "koop_command_seconds",
+            "Time from a frame's arrival to its command's hand-out [s]",
             buckets=_SECONDS,
             registry=self.registry,
         )

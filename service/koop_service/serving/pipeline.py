@@ -3,6 +3,7 @@
 No lock guards an estimator, because nobody else touches one. Each turn of the loop first serves
 the measurements that a question waits for, then answers, then takes one batch of the oldest
 measurements: questions wait for one batch at most, and cannot starve the measurements either.
+Commands wait for nobody: they go out as soon as the frames of their batch are folded.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ import threading
 import time
 from collections.abc import Callable
 
+from koop_service.serving.commander import Commander
 from koop_service.serving.desk import Desk
 from koop_service.serving.intake import Arrival, Intake
 from koop_service.serving.measurements import Measurements
@@ -35,12 +37,14 @@ class Pipeline:
         intake: Intake[Question],
         measurements: Measurements,
         desk: Desk,
+        commander: Commander,
         batch: int,
         lost: Callable[[int], None],
     ) -> None:
         self._intake = intake
         self._measurements = measurements
         self._desk = desk
+        self._commander = commander
         self._batch = batch
         self._lost = lost
         self._stopping = threading.Event()
@@ -64,13 +68,15 @@ class Pipeline:
     def step(self) -> None:
         """One turn of the loop."""
         self._desk.collect()
-        urgent = self._urgent()
-        if urgent:
-            self._measurements.process(urgent)
+        # After the questions: whoever asks for a task has declared its token before.
+        self._commander.attend(self._intake.take_presences())
+        self._process(self._urgent())
         self._desk.answer(_ANSWERING)
-        batch = self._intake.take(self._batch)
-        if batch:
-            self._measurements.process(batch)
+        self._process(self._intake.take(self._batch))
+
+    def _process(self, arrivals: list[Arrival]) -> None:
+        if arrivals:
+            self._commander.command(self._measurements.process(arrivals))
 
     def _urgent(self) -> list[Arrival]:
         """What questions wait for, a batch at most."""
@@ -98,6 +104,7 @@ class Pipeline:
         while self._intake.depth and time.monotonic() < deadline:
             self.step()
         self._desk.abandon()
+        self._commander.stop()
         if self._intake.depth:
             self._lost(self._intake.depth)
             log.warning("%d measurements still waited at the end", self._intake.depth)

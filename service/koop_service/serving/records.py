@@ -16,7 +16,7 @@ from koop_service.estimation.settings import EstimatorSettings
 from koop_service.estimation.stream import Stream
 from koop_service.serving.trajectories import Trajectory
 
-_VERSION = 1
+_VERSION = 2
 
 
 def snapshot_of(trajectory: Trajectory) -> dict[str, Any]:

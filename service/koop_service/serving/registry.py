@@ -63,6 +63,9 @@ class Registry:
     def __iter__(self) -> Iterator[Trajectory]:
         return iter(self._trajectories.values())
 
+    def __contains__(self, name: object) -> bool:
+        return name in self._trajectories
+
     def names(self) -> list[str]:
         """Names of all trajectories."""
         return list(self._trajectories)

@@ -8,13 +8,16 @@ from __future__ import annotations
 
 import numpy as np
 
-from koop_service.control.problem import build_lqr
-from koop_service.control.solve import solve_qp
+from koop_protocol import LqrQuery
 from koop_service.encoding.image_codec import ImageCodec
 from koop_service.estimation.estimator import Bank, warm_up
 from koop_service.estimation.settings import EstimatorSettings
 from koop_service.prediction.model import LinearModel
 from koop_service.prediction.uncertainty import rollout_std
+from koop_service.serving.aims import Aim
+from koop_service.serving.courses import Course, Schedule
+from koop_service.serving.fitness import judge
+from koop_service.serving.trajectories import Posterior
 
 
 def rehearse(codec: ImageCodec, settings: EstimatorSettings, batch: int) -> None:
@@ -30,7 +33,24 @@ def rehearse(codec: ImageCodec, settings: EstimatorSettings, batch: int) -> None
     bank.status(lane)
     model = LinearModel.from_theta(bank.theta(lane), settings)
     model.spectral_radius()
-    history, target = np.zeros((h, n)), np.ones(n)
-    S, R = bank.covariance(lane), bank.factor(lane).R
-    rollout_std(model, history, np.zeros((2, p)), S, R, settings.rho)
-    solve_qp(build_lqr(model, history, target, 2, 1.0, 1.0, -np.ones(p), np.ones(p)))
+    history = np.zeros((h, n))
+    posterior = Posterior(bank.covariance(lane), bank.factor(lane).R, bank.innovations(lane))
+    rollout_std(model, history, np.zeros((2, p)), posterior.S, posterior.R, settings.rho)
+    _control(model, posterior, settings, history)
+
+
+def _control(
+    model: LinearModel, posterior: Posterior, settings: EstimatorSettings, history: np.ndarray
+) -> None:
+    """The verdict, and two plans in a row by each method."""
+    n, p = settings.code_size, settings.control_size
+    for method in ("qp", "gain"):
+        bound = np.ones(p)
+        query = LqrQuery(
+            2, target_code=np.ones(n), u_min=-bound, u_max=bound, qf="riccati", method=method
+        )
+        aim = Aim(query, np.ones((1, n)))
+        judge(model, posterior, settings, history, aim)
+        course = Course(aim, 0, Schedule(0, np.zeros(p)))
+        for seq in (0, 1):
+            course.plan(model, history, seq)

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from koop_protocol import Control, ErrorCode, Frame, ProtocolError
+from koop_protocol.checks import Image
 from koop_service.encoding.catalogue import ModelEntry
 from koop_service.encoding.image_codec import ImageCodec
 from koop_service.estimation.estimator import Bank
@@ -156,12 +157,44 @@ class Trajectory:
 
     def posterior(self) -> Posterior:
         """What is known of the model's uncertainty."""
-        factor = self.bank.factor(self.lane)
-        return Posterior(self.bank.covariance(self.lane), factor.R)
+        bank, lane = self.bank, self.lane
+        return Posterior(bank.covariance(lane), bank.factor(lane).R, bank.innovations(lane))
 
     def model(self) -> LinearModel:
         """The present model, solved when asked for."""
         return LinearModel.from_theta(self.bank.theta(self.lane), self.settings)
+
+    def recent_codes(self) -> Array:
+        """The newest codes (h, n), oldest first: what a forecast or a plan begins with.
+
+        Raises ProtocolError (warming_up) while they, or the model, are not there yet.
+        """
+        have, need = self.warmup
+        history = self.stream.history
+        if have < need:
+            raise ProtocolError(
+                ErrorCode.warming_up,
+                f"warming up, {have} of {need} frames",
+                details={"frames": have, "warmup_frames": need},
+            )
+        if history is None:
+            raise ProtocolError(
+                ErrorCode.warming_up,
+                "frames were missed a moment ago",
+                f"{self.settings.history} frames in a row",
+                "ask again after the next frames",
+                {"frames": have, "warmup_frames": need},
+            )
+        return history
+
+    def last_control(self) -> Array:
+        """The newest control (p,) known to have acted, 0 where none has come."""
+        known = self.stream.last_control
+        return np.zeros(self.settings.control_size) if known is None else known[1]
+
+    def show(self, codes: Array) -> Image:
+        """Pictures (H, ...) of codes (H, n), of the stream's own dtype."""
+        return self.codec.decode(codes, self.dtype)
 
     def counters(self) -> dict[str, int]:
         """Events by name."""
@@ -171,10 +204,12 @@ class Trajectory:
 
 @dataclass(frozen=True, eq=False)
 class Posterior:
-    """S (n, n), covariance of the one-step residual, and R (d, d), the estimator's factor."""
+    """S (n, n), covariance of the one-step residual; R (d, d), the estimator's factor; and the
+    newest normalised innovations (K, n), oldest first."""
 
     S: Array
     R: Array
+    innovations: Array
 
 
 def check_image(frame: Frame, entry: ModelEntry, codec: ImageCodec) -> None:

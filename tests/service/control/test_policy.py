@@ -19,7 +19,8 @@ def test_it_plans_as_the_qp_does_where_no_bound_is_active(h, p):
     history = rng.normal(size=(h, 4))
     policy = stationary_policy(model, np.zeros(4), 1.0, 0.1)
     assert policy is not None
-    expected = solve_qp(build_lqr(model, history, np.zeros(4), 8, 1.0, 0.1)).u
+    qp = build_lqr(model, history, np.zeros(4), 8, 1.0, 0.1, Qf="riccati")
+    expected = solve_qp(qp).u
     np.testing.assert_allclose(policy.plan(history, 8), expected, atol=1e-7)
     assert policy.radius() < 1.0
 

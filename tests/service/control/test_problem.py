@@ -24,7 +24,7 @@ def test_the_condensed_cost_is_the_simulated_cost(seed, n, h, p, horizon, affine
     model = random_model(rng, n, h, p, affine=affine)
     history, target = rng.normal(size=(h, n)), rng.normal(size=n)
     Q, R = random_weight(rng, n), random_weight(rng, p)
-    qp = build_lqr(model, history, target, horizon, Q, R, Qf=None)
+    qp = build_lqr(model, history, target, horizon, Q, R)
     for scale in (0.0, 1.0, 100.0):
         u = scale * rng.normal(size=(horizon, p))
         expected = simulated_cost(model, history, target, u, Q, R)
@@ -39,7 +39,7 @@ def test_the_gradient_is_that_of_the_simulated_cost(seed, p, horizon):
     model = random_model(rng, 4, 2, p)
     history, target = rng.normal(size=(2, 4)), rng.normal(size=4)
     Q, R = random_weight(rng, 4), random_weight(rng, p)
-    qp = build_lqr(model, history, target, horizon, Q, R, Qf=None)
+    qp = build_lqr(model, history, target, horizon, Q, R)
     u, way = rng.normal(size=(2, horizon, p))
     # The cost is quadratic: a central difference is exact but for rounding, at any step.
     ahead = simulated_cost(model, history, target, u + way, Q, R)
@@ -118,7 +118,8 @@ def test_a_model_that_no_control_makes_stable_ends_as_eq13_does():
     model = random_model(np.random.default_rng(6), radius=1.2)
     model = type(model)(model.A, 0.0 * model.B, model.c)
     arguments = (model, np.ones((2, 8)), np.zeros(8), 5, 1, 1)
-    np.testing.assert_array_equal(build_lqr(*arguments).H, build_lqr(*arguments, Qf=None).H)
+    endless = build_lqr(*arguments, Qf="riccati")
+    np.testing.assert_array_equal(endless.H, build_lqr(*arguments).H)
 
 
 def test_the_first_step_obeys_the_rate_too():

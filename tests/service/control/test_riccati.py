@@ -60,11 +60,12 @@ def test_equals_the_qp_where_no_bound_is_active(seed, p, horizon, radius):
     rng = np.random.default_rng(seed)
     model = random_model(rng, p=p, radius=radius)
     history, target = rng.normal(size=(2, 8)), rng.normal(size=8)
-    u = lqr_riccati(model, history, target, horizon, 1.0, 0.1)
+    arguments = (model, history, target, horizon, 1.0, 0.1)
+    u = lqr_riccati(*arguments, Qf="riccati")
     wide = 1.1 * np.abs(u).max()
     for bound in (None, wide):
         low = None if bound is None else -bound
-        solution = solve_qp(build_lqr(model, history, target, horizon, 1.0, 0.1, low, bound))
+        solution = solve_qp(build_lqr(*arguments, low, bound, Qf="riccati"))
         assert solution.status == "solved"
         np.testing.assert_allclose(solution.u, u, atol=1e-6)
 

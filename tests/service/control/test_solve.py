@@ -195,10 +195,10 @@ def random_rate_qp(rng, horizon=10, p=1, bounded=0.3, rate=0.5, radius=1.0):
     model = random_model(rng, p=p, radius=radius)
     history, target = rng.normal(size=(2, 8)), rng.normal(size=8)
     arguments = (model, history, target, horizon, 1.0, 0.1)
-    free = build_lqr(*arguments, Qf=None)
+    free = build_lqr(*arguments)
     bound = np.quantile(np.abs(np.linalg.solve(free.H, free.g)), 1.0 - bounded)
     rates = {"du_min": -rate * bound, "du_max": rate * bound}
-    return build_lqr(*arguments, -bound, bound, Qf=None, **rates, last_control=0.0)
+    return build_lqr(*arguments, -bound, bound, **rates, last_control=0.0)
 
 
 @settings(deadline=None, max_examples=40)

@@ -45,12 +45,12 @@ def test_a_short_plan_that_ends_in_it_begins_as_an_endless_one(seed, h, p, horiz
     assert P is not None
     expected = -stationary_gain(model, np.eye(p), P) @ history.reshape(-1)
     arguments = (model, history, np.zeros(3), horizon, 1.0, 1.0)
-    for u in (solve_qp(build_lqr(*arguments)).u, lqr_riccati(*arguments)):
+    solution = solve_qp(build_lqr(*arguments, Qf="riccati"))
+    for u in (solution.u, lqr_riccati(*arguments, Qf="riccati")):
         np.testing.assert_allclose(u[0], expected, atol=1e-7 * (1 + np.abs(expected).max()))
-    cost = solve_qp(build_lqr(*arguments)).cost
     x = history.reshape(-1)
     endless = x @ P @ x - history[-1] @ history[-1]  # z_0 is given: eq. 13 does not count it
-    assert cost == pytest.approx(endless, rel=1e-6)
+    assert solution.cost == pytest.approx(endless, rel=1e-6)
 
 
 def test_no_control_reaches_the_mode_that_grows():

@@ -8,6 +8,7 @@ import pytest
 
 from koop_service.estimation import interleaved
 from koop_service.estimation.estimator import Bank, Snapshot, warm_up
+from koop_service.estimation.innovation import RECENT
 from koop_service.estimation.settings import EstimatorSettings
 
 SIZES = EstimatorSettings(3, 2, 1)
@@ -64,7 +65,8 @@ def test_a_lane_that_is_not_open_is_refused_and_nothing_is_folded() -> None:
     with pytest.raises(ValueError, match="lane 7 is not open"):
         bank.fold(np.array([lane, 7]), *drawn(np.random.default_rng(0), 2))
     assert bank.updates(lane) == 5
-    for refused in (bank.theta, bank.factor, bank.status, bank.close, bank.snapshot, bank.reset):
+    asked = (bank.theta, bank.factor, bank.status, bank.innovations)
+    for refused in (*asked, bank.close, bank.snapshot, bank.reset):
         with pytest.raises(ValueError, match="not open"):
             refused(7)
 
@@ -89,6 +91,8 @@ def test_a_restored_lane_goes_on_with_the_same_bits(memory: dict[str, float]) ->
     other.fold(np.full(30, copy), W, Y)
     assert same(bank.snapshot(lane), other.snapshot(copy))
     assert bank.theta(lane).tobytes() == other.theta(copy).tobytes()
+    assert bank.innovations(lane).shape == (RECENT, 3)
+    assert bank.innovations(lane).tobytes() == other.innovations(copy).tobytes()
 
 
 def same(one: Snapshot, two: Snapshot) -> bool:

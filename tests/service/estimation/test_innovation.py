@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from koop_service.estimation import factor as single
-from koop_service.estimation.innovation import MEMORY, InnovationStatistics
+from koop_service.estimation.innovation import MEMORY, RECENT, InnovationStatistics
 from koop_service.estimation.posterior import (
     excitation,
     predictive_covariance,
@@ -42,6 +42,16 @@ def test_the_mean_is_plain_at_first_and_exponential_later() -> None:
     assert not statistics.covariance(0).any()
 
 
+def test_the_newest_are_kept_as_they_are_oldest_first() -> None:
+    E = np.random.default_rng(0).standard_normal((WARMUP + 23, 2))
+    statistics = InnovationStatistics(SIZES, 2)
+    for end in (WARMUP, WARMUP + 1, WARMUP + 7, WARMUP + 10, WARMUP + 23):
+        start = statistics.seen(1)
+        statistics.fold(np.ones(end - start, dtype=np.int64), E[start:end])
+        np.testing.assert_array_equal(statistics.recent(1), E[max(WARMUP, end - RECENT) : end])
+    assert statistics.recent(0).shape == (0, 2)
+
+
 def test_the_innovations_of_a_known_system_give_its_noise_covariance() -> None:
     rng = np.random.default_rng(0)
     noise = np.array([[0.3, 0.0], [0.2, 0.1]])
@@ -59,9 +69,11 @@ def test_the_innovations_of_a_known_system_give_its_noise_covariance() -> None:
 def test_a_covariance_of_another_size_is_refused() -> None:
     statistics = InnovationStatistics(SIZES, 1)
     with pytest.raises(ValueError, match=r"expected \(2, 2\), finite"):
-        statistics.insert(0, np.zeros((3, 3)), 5)
+        statistics.insert(0, np.zeros((3, 3)), 5, np.zeros((RECENT, 2)))
     with pytest.raises(ValueError, match=r"expected \(2, 2\), finite"):
-        statistics.insert(0, np.full((2, 2), np.nan), 5)
+        statistics.insert(0, np.full((2, 2), np.nan), 5, np.zeros((RECENT, 2)))
+    with pytest.raises(ValueError, match=r"the newest innovations have shape \(9, 2\)"):
+        statistics.insert(0, np.zeros((2, 2)), 5, np.zeros((9, 2)))
 
 
 def test_leverage_and_predictive_covariance_are_the_dense_formula() -> None:

@@ -11,7 +11,6 @@ import dataclasses
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -28,10 +27,10 @@ from koop_service.evaluation.theme import (
     PANEL,
     QUIET,
     SERIES,
-    STYLE,
     TEXT,
     name_line,
     spread_labels,
+    styled,
 )
 from koop_service.learning.bands import coverage, ratios
 from koop_service.learning.streaming import Encoded
@@ -169,7 +168,7 @@ def _percent(shares: Array) -> str:
 
 def draw(found: Found) -> Figure:
     """Coverage over the horizon: solid as answered, dashed raw; the goal shaded."""
-    with mpl.rc_context(STYLE):
+    with styled():
         figure = Figure(figsize=(11.4, 4.0), dpi=DPI, layout="constrained")
         for axes, level in zip(figure.subplots(1, 2), LEVELS, strict=True):
             _panel(axes, found, level)

@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
-import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -27,10 +26,10 @@ from koop_service.evaluation.theme import (
     DPI,
     QUIET,
     SERIES,
-    STYLE,
     TEXT,
     name_line,
     spread_labels,
+    styled,
 )
 
 AT, FRAMES = 150, 320
@@ -229,7 +228,7 @@ def _about(case: Case) -> str:
 
 def draw(cases: list[Case]) -> Figure:
     """RMSE over time around the change, a column a case, a row a horizon."""
-    with mpl.rc_context(STYLE):
+    with styled():
         size = (5.7 * len(cases), 2.9 * len(STEPS))
         figure = Figure(figsize=size, dpi=DPI, layout="constrained")
         grid = np.atleast_2d(figure.subplots(len(STEPS), len(cases), squeeze=False))

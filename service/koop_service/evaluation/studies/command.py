@@ -7,17 +7,12 @@ import sys
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Any, Literal
 
-import tyro
-
-from koop_service.encoding.catalogue import bundled_folder
-from koop_service.evaluation.datasets import cache_folder
+from koop_service.evaluation.options import TestSetOptions
 from koop_service.evaluation.studies import calibration, change, noise, size
 from koop_service.evaluation.studies.bench import Bench
 from koop_service.evaluation.studies.outcome import Outcome, with_studies, write
-from koop_service.evaluation.systems import FIRST_TEST_SEED
 
 STUDIES: Mapping[str, Callable[[Bench], Outcome | None]] = {
     "noise": noise.study,
@@ -28,29 +23,21 @@ STUDIES: Mapping[str, Callable[[Bench], Outcome | None]] = {
 
 
 @dataclass(frozen=True)
-class Studies:
-    """Beyond the paper: sensor noise, code size, a change in mid-stream, calibrated bands."""
+class Studies(TestSetOptions):
+    """Beyond the paper: sensor noise, code size, a change in mid-stream, calibrated bands.
+
+    The studies' part of report.md is renewed. The JSON object holds study, then what it is about:
+    numbers.
+    """
 
     study: Literal["all", "noise", "size", "change", "calibration"] = "all"
     """Which study."""
-    trajectories: int = 20
+    trajectories: int = field(default=20, kw_only=True)
     """Test trajectories of each system."""
-    out: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = Path("out/eval")
-    """Folder for the figures, the tables and report.md, where the studies' part is renewed."""
-    data: Path = field(default_factory=cache_folder)
-    """Folder that keeps the test sets."""
-    weights: Path = field(default_factory=bundled_folder)
-    """Folder of the weights, with those of other code sizes in `sizes`."""
-    seed: int = FIRST_TEST_SEED
-    """Seed of the test sets, from 1000 up: lower ones are for training."""
-    json: bool = False
-    """Print one JSON object on the last line: study, then what it is about, numbers."""
 
 
 def run(arguments: Studies) -> None:
     """Run them one by one, and renew the studies' part of the report."""
-    if arguments.trajectories < 1:
-        raise ValueError(f"--trajectories is {arguments.trajectories}; expected 1 or more")
     asked = [name for name in STUDIES if arguments.study in ("all", name)]
     found = {name: outcome for name in asked if (outcome := _run(name, arguments))}
     if not found:

@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
-import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -24,7 +23,7 @@ from koop_service.evaluation.metrics import frame_at, squared_errors
 from koop_service.evaluation.studies.bench import Bench
 from koop_service.evaluation.studies.outcome import Outcome
 from koop_service.evaluation.systems import SYSTEMS
-from koop_service.evaluation.theme import DPI, QUIET, STYLE, TEXT
+from koop_service.evaluation.theme import DPI, QUIET, TEXT, styled
 
 Frames = NDArray[np.uint8]
 
@@ -238,7 +237,7 @@ def _row(name: str, setting: str, curves: Curves) -> str:
 
 def draw(found: Found) -> Figure:
     """RMSE against the level: a column a disturbance, a row a setting."""
-    with mpl.rc_context(STYLE):
+    with styled():
         size = (4.9 * len(DISTURBANCES), 2.6 * len(SETTINGS) + 0.4)
         figure = Figure(figsize=size, dpi=DPI, layout="constrained")
         grid = figure.subplots(len(SETTINGS), len(DISTURBANCES), squeeze=False)

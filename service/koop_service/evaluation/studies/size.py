@@ -10,7 +10,6 @@ import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 
-import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -23,7 +22,7 @@ from koop_service.evaluation.metrics import decoded_errors, frame_at
 from koop_service.evaluation.studies.bench import Bench
 from koop_service.evaluation.studies.outcome import Outcome
 from koop_service.evaluation.systems import SYSTEMS
-from koop_service.evaluation.theme import DPI, QUIET, STYLE, TEXT, name_line, spread_labels
+from koop_service.evaluation.theme import DPI, QUIET, TEXT, name_line, spread_labels, styled
 
 SYSTEM = "pendulum-low"
 HORIZONS = (1.0, 5.0)
@@ -176,7 +175,7 @@ def _text(
 
 def draw(scores: Mapping[int, Score], choice: int | None, found: Spectrum) -> Figure:
     """Left: errors by n_z, the chosen one marked. Right: singular values and the noise level."""
-    with mpl.rc_context(STYLE):
+    with styled():
         both = len(scores) > 1
         figure = Figure(figsize=(10.6 if both else 5.3, 3.5), dpi=DPI, layout="constrained")
         panels = figure.subplots(1, 1 + both, squeeze=False)[0]

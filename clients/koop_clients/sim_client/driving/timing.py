@@ -1,0 +1,38 @@
+"""When a command acts: simulated time between a frame and the answer to it. Pure."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from koop_clients.mechanics.simulation import FRAME_INTERVAL, STEP
+
+
+@dataclass(frozen=True)
+class Timing:
+    """How times on the wall and in the simulation belong together.
+
+    Attributes:
+        speed: simulated over real time; infinite where simulated time waits for the service.
+        camera: how long a frame takes to the service [s simulated].
+    """
+
+    speed: float
+    camera: float = 0.0
+
+    @property
+    def waits(self) -> bool:
+        """Whether simulated time stands still until the service has answered."""
+        return math.isinf(self.speed)
+
+    def age(self, lag: float) -> float:
+        """How old a frame is [s simulated] when its command comes, `lag` [s] after it was put."""
+        return self.camera + (0.0 if self.waits else lag * self.speed)
+
+    def frames(self, lag: float) -> int:
+        """The same in frames: to the interval of which the command gets the larger part."""
+        return round(self.age(lag) / FRAME_INTERVAL)
+
+    def is_there(self, seq: int, lag: float, number: int, step: int) -> bool:
+        """Whether the command from frame `seq` can act in a 5 ms step of interval `number`."""
+        return (number - seq) * FRAME_INTERVAL + step * STEP >= self.age(lag) - 1e-9
