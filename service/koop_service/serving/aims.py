@@ -14,6 +14,8 @@ Array = NDArray[np.float64]
 
 MAX_PLANNED = 400
 """Most numbers in a control sequence (N*p): the QP's time grows with its cube, to about 50 ms."""
+MAX_COMMANDED = 100
+"""The same in a task, which plans at every frame."""
 _UNLIKE = 3.0
 """Times its usual error that the encoder may draw a target picture with."""
 
@@ -49,9 +51,12 @@ class Aim:
         return dict(zip(channels, _later(controls, elapsed).T, strict=True))
 
 
-def aim_of(trajectory: Trajectory, query: LqrQuery) -> Aim:
-    """The query in the terms of this trajectory's model; ProtocolError where it does not fit."""
-    _check_horizon(trajectory, query)
+def aim_of(trajectory: Trajectory, query: LqrQuery, most: int = MAX_PLANNED) -> Aim:
+    """The query in the terms of this trajectory's model; ProtocolError where it does not fit.
+
+    most: numbers that its control sequence may have.
+    """
+    _check_horizon(trajectory, query, most)
     _check_sizes(trajectory, query)
     _check_known(trajectory, query)
     if query.target_code is not None:
@@ -66,7 +71,7 @@ def _later(rows: Array, elapsed: int) -> Array:
     return rows[min(elapsed, len(rows) - 1) :]
 
 
-def _check_horizon(trajectory: Trajectory, query: LqrQuery) -> None:
+def _check_horizon(trajectory: Trajectory, query: LqrQuery, most: int) -> None:
     p = trajectory.settings.control_size
     if p == 0:
         raise ProtocolError(
@@ -75,13 +80,13 @@ def _check_horizon(trajectory: Trajectory, query: LqrQuery) -> None:
             "an actuated one",
             "stream with controls (koop-sim-client --actuated)",
         )
-    if query.horizon * p > MAX_PLANNED:
+    if query.horizon * p > most:
         raise ProtocolError(
             ErrorCode.bad_horizon,
             f"horizon is {query.horizon}",
-            f"at most {MAX_PLANNED // p} steps with {p} controls",
+            f"at most {most // p} steps with {p} controls",
             "plan less far ahead, and again at later frames",
-            {"field": "horizon", "limit": MAX_PLANNED // p},
+            {"field": "horizon", "limit": most // p},
         )
 
 

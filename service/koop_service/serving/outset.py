@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from koop_protocol import LqrQuery, LqrReply
 from koop_service.control.certificate import Certificate
 from koop_service.prediction.model import LinearModel
-from koop_service.serving.aims import Aim, aim_of
+from koop_service.serving.aims import MAX_PLANNED, Aim, aim_of
 from koop_service.serving.courses import Course, Plan, Schedule
 from koop_service.serving.fitness import Verdict, judge
 from koop_service.serving.forecasts import forecast
@@ -32,14 +32,20 @@ class Outset:
     course: Course | None
 
 
-def set_out(trajectory: Trajectory, query: LqrQuery, schedule: Schedule | None = None) -> Outset:
+def set_out(
+    trajectory: Trajectory,
+    query: LqrQuery,
+    schedule: Schedule | None = None,
+    most: int = MAX_PLANNED,
+) -> Outset:
     """Judge the model, and plan where it is fit or the query forces it.
 
     schedule: what was promised so far for coming intervals; None: the last control stays.
+    most: numbers that its control sequence may have.
     Raises ProtocolError for a query that does not fit the trajectory or that nothing satisfies.
     """
     history, model, seq = trajectory.recent_codes(), trajectory.model(), trajectory.last_seq
-    aim = aim_of(trajectory, query)
+    aim = aim_of(trajectory, query, most)
     verdict = judge(model, trajectory.posterior(), trajectory.settings, history, aim)
     if not (verdict.fit or query.force):
         return Outset(_reply(trajectory, aim, verdict, _refusal(verdict)), model, None)

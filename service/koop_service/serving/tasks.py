@@ -21,6 +21,7 @@ from koop_protocol import (
     client_token,
 )
 from koop_service.prediction.model import LinearModel
+from koop_service.serving.aims import MAX_COMMANDED
 from koop_service.serving.courses import Course
 from koop_service.serving.outset import set_out
 from koop_service.serving.trajectories import Trajectory
@@ -97,7 +98,8 @@ class Tasks:
         """
         self._check_owner(order.owner)
         former = self._own(trajectory.name, order.owner)
-        outset = set_out(trajectory, order.query, former and former.course.schedule)
+        schedule = former and former.course.schedule
+        outset = set_out(trajectory, order.query, schedule, MAX_COMMANDED)
         if outset.course is not None:
             self._tasks[trajectory.name] = Task(
                 trajectory.name,

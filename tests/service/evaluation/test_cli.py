@@ -5,6 +5,7 @@ import sys
 
 import numpy as np
 import pytest
+import torch
 
 from koop_service.encoding.autoencoder import initialised
 from koop_service.encoding.weights import save_weights
@@ -97,6 +98,26 @@ def test_wrong_options(evaluate, weights, capsys):
     assert "test seeds start at 1000" in said
     said = refused(evaluate, weights, capsys, "--trajectories", "0")
     assert "expected 1 or more" in said
+
+
+def test_one_thread_unless_told_otherwise(evaluate, weights, monkeypatch, capsys):
+    asked = []
+    monkeypatch.setattr(torch, "set_num_threads", asked.append)
+    evaluate(weights)
+    evaluate(weights, "--threads", "3")
+    assert asked == [1, 3]
+    assert "--threads is 0; expected 1 or more" in refused(
+        evaluate, weights, capsys, "--threads", "0"
+    )
+
+
+@pytest.mark.parametrize("name", cli.SUBCOMMANDS)
+def test_every_subcommand_says_what_it_takes(monkeypatch, capsys, name):
+    monkeypatch.setattr(sys, "argv", ["koop-eval", name, "--help"])
+    with pytest.raises(SystemExit, match="0"):
+        cli.main()
+    said = capsys.readouterr().out
+    assert all(option in said for option in ("--out", "--weights", "--threads", "--json"))
 
 
 def test_weights_of_another_renderer(evaluate, weights, capsys):

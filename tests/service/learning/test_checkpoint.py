@@ -54,7 +54,7 @@ def _written(out: Path) -> tuple[int, int]:
         with safe_open(path, "pt") as file:
             stage = json.loads(file.metadata()["state"])["stage"]
         return path.stat().st_mtime_ns, stage
-    except OSError:
+    except (OSError, RuntimeError):  # none yet, or replaced while it was read
         return 0, -1
 
 

@@ -203,3 +203,10 @@ def test_a_frozen_task_keeps_the_model_of_its_registration(tasks, plant):
     assert tasks.find("cart/0").frozen is None
     learned = tasks.command(plant.trajectory)
     assert not np.allclose(learned.controls, command.controls, rtol=1e-3)
+
+
+def test_a_task_may_not_plan_as_far_as_a_single_question(tasks, plant):
+    with pytest.raises(ProtocolError, match="expected at most 100 steps") as caught:
+        tasks.begin(plant.trajectory, order(horizon=101))
+    assert caught.value.code == ErrorCode.bad_horizon
+    assert len(tasks) == 0
