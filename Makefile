@@ -35,6 +35,7 @@ bench: $(TEST_STAMP) ## Print the benchmark tables
 	$(BIN)/python benchmarks/update.py
 	$(BIN)/python benchmarks/accuracy.py
 	$(BIN)/python benchmarks/control.py
+	$(BIN)/python benchmarks/commands.py
 	$(BIN)/python benchmarks/service.py
 	$(BIN)/python benchmarks/training.py
 

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -50,14 +51,29 @@ def write_recording(
     path: Path, header: Header, count: int, length: int, rows: Iterable[Row]
 ) -> None:
     """Write `count` rows of `length` frames; `path` is replaced only once the file is complete."""
+    with new_recording(path) as file:
+        _fill(file, header, count, length, rows)
+
+
+@contextmanager
+def new_recording(path: Path) -> Iterator[h5py.File]:
+    """A file that takes its place at `path` only if the block that fills it comes to its end."""
     path.parent.mkdir(parents=True, exist_ok=True)
     partial = path.with_name(path.name + ".partial")
     try:
         with h5py.File(partial, "w") as file:
-            _fill(file, header, count, length, rows)
+            yield file
         partial.replace(path)
     finally:
         partial.unlink(missing_ok=True)
+
+
+def describe(file: h5py.File, header: Header, manifest: Sequence[Mapping[str, Any]]) -> None:
+    """Add the attributes, and the manifest with its entry for each trajectory."""
+    # An attribute holds at most 64 KB: the manifest, a line a trajectory, is a data set.
+    lines = [json.dumps(dict(entry)) for entry in manifest]
+    file.create_dataset(names.PARAMETERS_DATASET, data=lines, dtype=h5py.string_dtype())
+    file.attrs.update(_attributes(header))
 
 
 def _fill(file: h5py.File, header: Header, count: int, length: int, rows: Iterable[Row]) -> None:
@@ -72,10 +88,8 @@ def _fill(file: h5py.File, header: Header, count: int, length: int, rows: Iterab
     # Strict: a row too few would leave black frames behind.
     for i, row in zip(range(count), rows, strict=True):
         frames[i], controls[i], states[i] = row.frames, row.controls, row.states
-        manifest.append(json.dumps(dict(row.entry)))
-    # An attribute holds at most 64 KB: the manifest, a line a trajectory, is a data set.
-    file.create_dataset(names.PARAMETERS_DATASET, data=manifest, dtype=h5py.string_dtype())
-    file.attrs.update(_attributes(header))
+        manifest.append(row.entry)
+    describe(file, header, manifest)
 
 
 def _attributes(header: Header) -> dict[str, Any]:

@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 from koop_service.evaluation.control.methods import METHODS
 from koop_service.evaluation.control.plants import Plant
 from koop_service.evaluation.control.study import Change, OpenLoop
-from koop_service.evaluation.control.trials import Trials
+from koop_service.evaluation.control.trials import Array, Trials
 from koop_service.evaluation.strips import mosaic
 from koop_service.evaluation.theme import DPI, GREYS, PANEL, QUIET, TEXT, styled
 
@@ -47,7 +47,7 @@ def draw_ways(trials: Mapping[str, Trials], dt: float) -> Figure:
 def _ways(axes: Axes, name: str, found: Trials, dt: float) -> None:
     times = np.arange(found.angles.shape[1]) * dt
     axes.axhspan(-_SUCCESS, _SUCCESS, color=QUIET, alpha=0.18, lw=0)
-    axes.plot(times, found.angles.T, color=COLOURS[name], lw=0.6, alpha=0.45)
+    axes.plot(times, _without_jumps(found.angles).T, color=COLOURS[name], lw=0.6, alpha=0.45)
     axes.set_ylim(-1.6, 1.6)
     axes.set_xlim(0, times[-1])
     axes.set_title(
@@ -56,6 +56,12 @@ def _ways(axes: Axes, name: str, found: Trials, dt: float) -> None:
         color=TEXT,
         fontsize=8.5,
     )
+
+
+def _without_jumps(angles: Array) -> Array:
+    """Angles (N, T) without the lines from -pi to pi of a pole that turns over."""
+    jumps = np.abs(np.diff(angles, append=angles[:, -1:])) > np.pi
+    return np.where(jumps, np.nan, angles)
 
 
 def draw_change(changes: Sequence[Change], dt: float) -> Figure:

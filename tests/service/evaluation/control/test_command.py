@@ -15,7 +15,8 @@ from koop_service.evaluation.control.command import Control
 def test_every_method_drives_and_everything_is_written(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(trials, "DRIVE", 5.0)
+    monkeypatch.setattr(trials, "LEARN", 14.0)
+    monkeypatch.setattr(trials, "DRIVE", 4.5)
     monkeypatch.setattr(study, "CHANGE_AT", 1.5)
     wanted = Control(("cartpole",), starts=2, together=2, out=tmp_path, rate="max", json=True)
     command.run(wanted)

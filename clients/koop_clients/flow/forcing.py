@@ -1,0 +1,86 @@
+"""How the cylinder turns: rich schedules that identify a model, and the reference controller.
+
+A law gives the rotation [U/D] from the frame's number and the transverse velocity [U] at the probe.
+It is held until the next frame. Schedules know the number alone; they are pure functions of their
+seed and of it, so that any frame's rotation can be known ahead.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from functools import lru_cache
+from typing import Literal
+
+import numpy as np
+
+from koop_clients.flow.settings import MAX_ROTATION
+
+Law = Callable[[int, float], float]
+Regime = Literal["rest", "schedule", "feedback", "mix"]
+
+GAIN = 0.8  # [1/D]; rotation over transverse velocity
+
+_PIECE = 64  # frames of a chirp, of a row of holds, or at rest
+_KINDS, _SHARES = ("chirp", "holds", "rest"), (0.5, 0.4, 0.1)
+_SMALLEST = 0.1  # U/D, of an amplitude
+_FASTEST = 0.25  # cycles a frame: twice as fast as the wake sheds
+_LONGEST_HOLD = 16  # frames
+_EPISODE = 256  # frames: what the reference controller needs to calm the wake
+_STIR = 0.15  # share of a schedule that acts on top of the controller
+
+
+def law(regime: Regime, seed: int) -> Law:
+    """How a regime turns the cylinder.
+
+    rest does not. schedule alternates chirps, random holds and pauses. feedback lets the reference
+    controller calm the wake under a weak schedule; what a learned controller will meet. mix takes
+    schedule and feedback in turn.
+    """
+    if regime == "rest":
+        return lambda _number, _probe: 0.0
+    scheduled, stirred = schedule(seed), feedback(stir=seed)
+    if regime == "mix":
+        return lambda n, probe: (stirred if n // _EPISODE % 2 else scheduled)(n, probe)
+    return scheduled if regime == "schedule" else stirred
+
+
+def schedule(seed: int) -> Law:
+    """Chirps, random holds and pauses of 64 frames each, |rotation| <= MAX_ROTATION."""
+    return lambda number, _probe: _piece(seed, number // _PIECE)[number % _PIECE]
+
+
+def feedback(gain: float = GAIN, bound: float = MAX_ROTATION, stir: int | None = None) -> Law:
+    """The reference controller: rotation = gain v(2.14, 0), clipped to +-`bound` [U/D].
+
+    With a seed to `stir`, some of that schedule acts on top.
+    """
+
+    def rotation(number: int, probe: float) -> float:
+        extra = 0.0 if stir is None else _STIR * schedule(stir)(number, probe)
+        return min(max(gain * probe + extra, -bound), bound)
+
+    return rotation
+
+
+@lru_cache(maxsize=64)
+def _piece(seed: int, index: int) -> tuple[float, ...]:
+    rng = np.random.default_rng((seed, index))
+    kind = rng.choice(_KINDS, p=_SHARES)
+    amplitude = math.exp(rng.uniform(math.log(_SMALLEST), math.log(MAX_ROTATION)))
+    if kind == "rest":
+        return (0.0,) * _PIECE
+    shape = _chirp(rng) if kind == "chirp" else _holds(rng)
+    return tuple((amplitude * shape).tolist())
+
+
+def _chirp(rng: np.random.Generator) -> np.ndarray:
+    """(64,) in [-1, 1]: a sine whose frequency runs from one random value to another."""
+    cycles = np.cumsum(np.linspace(*rng.uniform(0, _FASTEST, 2), _PIECE))
+    return np.sin(2 * np.pi * (cycles + rng.uniform()))
+
+
+def _holds(rng: np.random.Generator) -> np.ndarray:
+    """(64,) in [-1, 1]: random levels, each for 1 to 16 frames."""
+    lengths = rng.integers(1, _LONGEST_HOLD, _PIECE, endpoint=True)
+    return np.repeat(rng.uniform(-1, 1, _PIECE), lengths)[:_PIECE]

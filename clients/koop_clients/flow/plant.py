@@ -1,0 +1,57 @@
+"""One simulated wake, frame by frame."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from koop_clients.flow.cylinder import CylinderFlow
+from koop_clients.flow.forcing import Law
+from koop_clients.flow.spinup import Progress, developed
+
+_PHASES = 16  # frames: nearly two periods of the shedding
+
+
+class FlowPlant:
+    """A flow, the law that turns its cylinder, and the present frame."""
+
+    def __init__(self, flow: CylinderFlow, law: Law, state: np.ndarray) -> None:
+        self.flow = flow
+        self.state = state
+        self.number = 0
+        self._law = law
+
+    @property
+    def probe(self) -> float:
+        """Transverse velocity behind the cylinder [U]."""
+        return self.flow.probe(self.state)
+
+    def draw(self) -> np.ndarray:
+        """The present frame, (4, H, W) float16."""
+        return self.flow.picture(self.state)
+
+    def advance(self) -> float:
+        """Go to the next frame; how the cylinder turned on the way [U/D].
+
+        Raises DivergedError.
+        """
+        rotation = self._law(self.number, self.probe)
+        self.state = self.flow.frame(self.state, rotation)
+        self.number += 1
+        return rotation
+
+    def obey(self, law: Law) -> None:
+        """From the present frame on the cylinder turns by `law`."""
+        self._law = law
+
+
+def starting(
+    flow: CylinderFlow, seed: tuple[int, ...], progress: Progress | None = None,
+    folder: Path | None = None,
+) -> np.ndarray:  # fmt: skip
+    """A developed wake at a random phase; the state of a trajectory's first frame."""
+    state = developed(flow, progress, folder)
+    for _ in range(int(np.random.default_rng(seed).integers(_PHASES))):
+        state = flow.frame(state)
+    return state
