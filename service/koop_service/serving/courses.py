@@ -11,7 +11,7 @@ from koop_service.control.plan import roll_forward
 from koop_service.control.solve import QPSolution
 from koop_service.prediction.model import LinearModel
 from koop_service.serving.aims import Aim
-from koop_service.serving.planning import Departure, steer
+from koop_service.serving.planning import Departure, Gain, follow, gain_of, steer
 
 Array = NDArray[np.float64]
 
@@ -52,6 +52,7 @@ class Course:
         self.schedule = schedule
         self._origin = seq
         self._last: QPSolution | None = None
+        self._gain: Gain | None = None
         self._planned = seq
 
     def plan(self, model: LinearModel, history: Array, seq: int) -> Plan:
@@ -61,10 +62,16 @@ class Course:
         with np.errstate(over="ignore", invalid="ignore"):
             history = roll_forward(model, history, acting[1:])
         departure = Departure(model, history, acting[-1], seq - self._origin)
-        found = steer(self.aim, departure, self._last, seq - self._planned)
+        found = self._solve(departure, seq - self._planned)
         self.schedule.replace(seq - 1, start, found.u)
         self._last, self._planned = found, seq
         return Plan(start, history, found)
+
+    def _solve(self, departure: Departure, since: int) -> QPSolution:
+        if self.aim.query.method != "gain":
+            return steer(self.aim, departure, self._last, since)
+        self._gain = gain_of(self.aim, departure, self._gain)
+        return follow(self.aim, departure, self._gain)
 
     def rest(self, seq: int) -> Array:
         """(N, p): what is left of the last plan at frame `seq`."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,12 +14,15 @@ from koop_service.control.bounds import ControlBounds
 from koop_service.control.condense import CondensedQP, condense
 from koop_service.control.objective import LqrProblem
 from koop_service.control.optimality import kkt_residual
-from koop_service.control.policy import stationary_policy
+from koop_service.control.policy import StationaryPolicy, stationary_policy
 from koop_service.control.solve import QPSolution, solve_qp
 from koop_service.prediction.model import LinearModel
 from koop_service.serving.aims import Aim
 
 Array = NDArray[np.float64]
+
+KEPT = 10
+"""Frames that a gain serves: it takes twice as long to find as a plan, and changes slowly."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,22 +38,54 @@ class Departure:
     elapsed: int
 
 
+@dataclass(frozen=True, eq=False)
+class Gain:
+    """A policy towards `target` (n,), of the model as it was `elapsed` frames into the aim."""
+
+    policy: StationaryPolicy
+    target: Array
+    elapsed: int
+
+    def serves(self, target: Array, elapsed: int) -> bool:
+        """Whether it is young enough, and the target still there."""
+        return elapsed - self.elapsed < KEPT and np.array_equal(target, self.target)
+
+
 def steer(
     aim: Aim, departure: Departure, last: QPSolution | None = None, since: int = 1
 ) -> QPSolution:
-    """Controls (N, p) to the aim, which may start from the solution `since` frames ago.
+    """Controls (N, p) of eq. 13, which may start from the solution `since` frames ago.
 
-    By the gain "solved" means that there is one; its residual says how far from eq. 13 that is.
     Raises ProtocolError for weights and bounds that contradict, and where no plan is finite.
     """
-    qp = _problem(aim, departure)
-    if aim.query.method == "gain":
-        found = _by_gain(qp, aim, departure)
-    else:
-        found = solve_qp(qp, last, since)
-    if not np.isfinite([found.cost, found.kkt_residual]).all():
-        raise _unstable(aim.query)
-    return found
+    return _finite(aim, solve_qp(_problem(aim, departure), last, since))
+
+
+def follow(aim: Aim, departure: Departure, gain: Gain) -> QPSolution:
+    """Controls (N, p) by the gain; its residual says how far from eq. 13 they are.
+
+    Raises as `steer`.
+    """
+    qp, policy = _problem(aim, departure), replace(gain.policy, model=departure.model)
+    u = policy.plan(departure.history, aim.query.horizon, departure.last_control)
+    return _finite(aim, QPSolution(u, qp.cost(u), "solved", kkt_residual(qp, u.reshape(-1))))
+
+
+def gain_of(aim: Aim, departure: Departure, last: Gain | None) -> Gain:
+    """The last gain while it serves, else the present model's. Raises as `steer`."""
+    query, target = aim.query, aim.targets(departure.elapsed)[0]
+    if last is not None and last.serves(target, departure.elapsed):
+        return last
+    with _refusing(ErrorCode.bad_weights):
+        policy = stationary_policy(departure.model, target, query.q, query.r, *aim.bounds)
+    if policy is None:
+        raise ProtocolError(
+            ErrorCode.bad_weights,
+            "no gain makes the present model stable under these weights",
+            "a model that the controls can steer",
+            "let the model see more frames, weight every unstable code in q, or use method 'qp'",
+        )
+    return Gain(policy, target, departure.elapsed)
 
 
 def _problem(aim: Aim, departure: Departure) -> CondensedQP:
@@ -69,18 +104,10 @@ def _problem(aim: Aim, departure: Departure) -> CondensedQP:
     return condense(problem, bounds)
 
 
-def _by_gain(qp: CondensedQP, aim: Aim, departure: Departure) -> QPSolution:
-    query, target = aim.query, aim.targets(departure.elapsed)[0]
-    policy = stationary_policy(departure.model, target, query.q, query.r, *aim.bounds)
-    if policy is None:
-        raise ProtocolError(
-            ErrorCode.bad_weights,
-            "no gain makes the present model stable under these weights",
-            "a model that the controls can steer",
-            "let the model see more frames, weight every unstable code in q, or use method 'qp'",
-        )
-    u = policy.plan(departure.history, query.horizon, departure.last_control)
-    return QPSolution(u, qp.cost(u), "solved", kkt_residual(qp, u.reshape(-1)))
+def _finite(aim: Aim, found: QPSolution) -> QPSolution:
+    if not np.isfinite([found.cost, found.kkt_residual]).all():
+        raise _unstable(aim.query)
+    return found
 
 
 @contextmanager

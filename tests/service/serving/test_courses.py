@@ -12,6 +12,7 @@ from koop_service.prediction.model import LinearModel
 from koop_service.prediction.rollout import rollout
 from koop_service.serving.aims import Aim
 from koop_service.serving.courses import Course, Schedule
+from koop_service.serving.planning import KEPT
 
 MODEL = LinearModel(np.array([[1.0, 0.1], [0.3, 1.0]]), np.array([[0.0], [0.1]]), np.zeros(2))
 BOUND = np.ones(1) * 4.0
@@ -99,7 +100,6 @@ def test_the_next_plan_starts_from_the_last_one():
         (MODEL, {"r": np.array([[-1.0]])}, None),
         (LinearModel(1e200 * MODEL.A, MODEL.B, MODEL.c), {}, ErrorCode.bad_horizon),
         (LinearModel(1e200 * MODEL.A, MODEL.B, MODEL.c), {"delay": 3}, ErrorCode.bad_horizon),
-        (LinearModel(2 * MODEL.A, 0 * MODEL.B, MODEL.c), {"method": "gain"}, ErrorCode.bad_weights),
     ],
 )
 @pytest.mark.filterwarnings("error")
@@ -116,3 +116,22 @@ def test_without_a_plan_the_rest_of_the_last_one_is_left(model, changes, code):
     rest = going.rest(12)
     assert rest.shape == last.shape
     np.testing.assert_array_equal(rest, np.concatenate([last[2:], last[-1:], last[-1:]]))
+
+
+def test_a_gain_serves_some_frames_and_then_the_present_model_has_the_word():
+    lost, code = LinearModel(2 * MODEL.A, 0 * MODEL.B, MODEL.c), np.array([[0.5, -0.2]])
+    going = course(method="gain")
+    first = going.plan(MODEL, code, 10).solution.u[0]
+    np.testing.assert_array_equal(going.plan(lost, code, 10 + KEPT - 1).solution.u[0], first)
+    with pytest.raises(ProtocolError, match="no gain") as caught:
+        going.plan(lost, code, 10 + KEPT)
+    assert caught.value.code == ErrorCode.bad_weights
+
+
+def test_a_gain_goes_where_the_target_goes():
+    way, code = np.linspace([0.0, 0.0], [1.0, 1.0], 12), np.array([[0.5, -0.2]])
+    moving = course(method="gain", target_code=way)
+    moving.plan(MODEL, code, 10)
+    found = moving.plan(MODEL, code, 15).solution.u
+    alone = course(method="gain", target_code=way[5:]).plan(MODEL, code, 10).solution.u
+    np.testing.assert_allclose(found[0], alone[0], atol=1e-9)
