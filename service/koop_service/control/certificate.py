@@ -187,7 +187,7 @@ def _why_lost(mode: Mode) -> str:
     growth = 100.0 * (abs(mode.eigenvalue) - 1.0)
     return (
         f"a mode that grows by {growth:.0f}% a step is not steered: its gain from the controls is"
-        f" {mode.score:.1f} standard deviations (margin {mode.margin:.1e}); expected"
+        f" {mode.score:.2f} standard deviations (margin {mode.margin:.1e}); expected"
         f" {MODE_SCORE:g} or more"
     )
 
@@ -200,7 +200,7 @@ def _why_unknown(channel: int, score: float, information: float) -> str:
         )
     if score < COLUMN_SCORE:
         return (
-            f"what control {channel} does is not known: its effect is {score:.1f} standard"
+            f"what control {channel} does is not known: its effect is {score:.2f} standard"
             f" deviations; expected {COLUMN_SCORE:g} or more"
         )
     return ""
