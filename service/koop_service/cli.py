@@ -23,7 +23,6 @@ import zenoh
 from koop_protocol import Limits
 from koop_service.encoding.catalogue import Catalogue, ModelEntry, bundled_or_own
 from koop_service.serving import logs
-from koop_service.serving.commander import Commander
 from koop_service.serving.config import ServiceConfig
 from koop_service.serving.desk import Desk
 from koop_service.serving.endpoint import Endpoint, put_command
@@ -40,7 +39,8 @@ from koop_service.serving.registry import Registry, settings_for
 from koop_service.serving.rehearsal import rehearse
 from koop_service.serving.session import UnreachableError, locators, open_session
 from koop_service.serving.snapshots import SnapshotStore
-from koop_service.serving.tasks import Tasks
+from koop_service.serving.steering.commander import Commander
+from koop_service.serving.steering.tasks import Tasks
 
 log = logging.getLogger("koop.service")
 

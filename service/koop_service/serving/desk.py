@@ -33,13 +33,13 @@ from koop_protocol import (
     state_key,
 )
 from koop_service.serving import queries
-from koop_service.serving.commander import Commander
 from koop_service.serving.intake import Intake
 from koop_service.serving.logs import Brake
 from koop_service.serving.metrics import Metrics
 from koop_service.serving.outbox import Outbox
 from koop_service.serving.questions import Question, error_bytes, is_wildcard
 from koop_service.serving.registry import Registry
+from koop_service.serving.steering.commander import Commander
 from koop_service.serving.trajectories import Trajectory
 
 log = logging.getLogger("koop.queries")

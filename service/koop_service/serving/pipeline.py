@@ -13,11 +13,11 @@ import threading
 import time
 from collections.abc import Callable
 
-from koop_service.serving.commander import Commander
 from koop_service.serving.desk import Desk
 from koop_service.serving.intake import Arrival, Intake
 from koop_service.serving.measurements import Measurements
 from koop_service.serving.questions import Question
+from koop_service.serving.steering.commander import Commander
 
 log = logging.getLogger("koop.pipeline")
 

@@ -21,7 +21,7 @@ from koop_protocol import (
 from koop_service.prediction.model import LinearModel
 from koop_service.prediction.uncertainty import calibrated, rollout_std
 from koop_service.serving.forecasts import finite, forecast
-from koop_service.serving.outset import set_out
+from koop_service.serving.steering.outset import set_out
 from koop_service.serving.trajectories import Trajectory
 
 Array = NDArray[np.float64]

@@ -14,9 +14,9 @@ from koop_service.estimation.estimator import Bank, warm_up
 from koop_service.estimation.settings import EstimatorSettings
 from koop_service.prediction.model import LinearModel
 from koop_service.prediction.uncertainty import rollout_std
-from koop_service.serving.aims import Aim
-from koop_service.serving.courses import Course, Schedule
-from koop_service.serving.fitness import judge
+from koop_service.serving.steering.aims import Aim
+from koop_service.serving.steering.courses import Course, Schedule
+from koop_service.serving.steering.fitness import judge
 from koop_service.serving.trajectories import Posterior
 
 

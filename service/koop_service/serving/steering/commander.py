@@ -11,7 +11,7 @@ from koop_service.serving.intake import Presence
 from koop_service.serving.logs import Brake
 from koop_service.serving.metrics import Metrics
 from koop_service.serving.registry import Registry
-from koop_service.serving.tasks import Tasks
+from koop_service.serving.steering.tasks import Tasks
 from koop_service.serving.trajectories import Trajectory
 
 log = logging.getLogger("koop.tasks")

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from koop_service.control.plan import roll_forward
 from koop_service.control.solve import QPSolution
 from koop_service.prediction.model import LinearModel
-from koop_service.serving.aims import Aim
-from koop_service.serving.planning import Departure, Gain, follow, gain_of, steer
+from koop_service.serving.steering.aims import Aim
+from koop_service.serving.steering.planning import Departure, Gain, follow, gain_of, steer
 
 Array = NDArray[np.float64]
 

@@ -21,9 +21,9 @@ from koop_protocol import (
     client_token,
 )
 from koop_service.prediction.model import LinearModel
-from koop_service.serving.aims import MAX_COMMANDED
-from koop_service.serving.courses import Course
-from koop_service.serving.outset import set_out
+from koop_service.serving.steering.aims import MAX_COMMANDED
+from koop_service.serving.steering.courses import Course
+from koop_service.serving.steering.outset import set_out
 from koop_service.serving.trajectories import Trajectory
 
 FAILED = "failed"

@@ -17,7 +17,7 @@ from koop_service.control.optimality import kkt_residual
 from koop_service.control.policy import StationaryPolicy, stationary_policy
 from koop_service.control.solve import QPSolution, solve_qp
 from koop_service.prediction.model import LinearModel
-from koop_service.serving.aims import Aim
+from koop_service.serving.steering.aims import Aim
 
 Array = NDArray[np.float64]
 

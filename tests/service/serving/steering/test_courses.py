@@ -10,9 +10,9 @@ from koop_service.control.problem import build_lqr
 from koop_service.control.solve import solve_qp
 from koop_service.prediction.model import LinearModel
 from koop_service.prediction.rollout import rollout
-from koop_service.serving.aims import Aim
-from koop_service.serving.courses import Course, Schedule
-from koop_service.serving.planning import KEPT
+from koop_service.serving.steering.aims import Aim
+from koop_service.serving.steering.courses import Course, Schedule
+from koop_service.serving.steering.planning import KEPT
 
 MODEL = LinearModel(np.array([[1.0, 0.1], [0.3, 1.0]]), np.array([[0.0], [0.1]]), np.zeros(2))
 BOUND = np.ones(1) * 4.0

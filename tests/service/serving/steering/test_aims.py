@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from koop_protocol import ErrorCode, LqrQuery, ProtocolError
-from koop_service.serving.aims import aim_of
+from koop_service.serving.steering.aims import aim_of
 from koop_service.serving.trajectories import Trajectory
 
 from .linear import N, Plant, registry_of

@@ -9,7 +9,7 @@ import pytest
 
 from koop_protocol import Command, EndReason, ErrorCode, LqrQuery, LqrTask, ProtocolError
 from koop_service.prediction.model import LinearModel
-from koop_service.serving.tasks import Tasks
+from koop_service.serving.steering.tasks import Tasks
 
 from .linear import N, Plant, registry_of
 
