@@ -38,6 +38,7 @@ bench: $(TEST_STAMP) ## Print the benchmark tables
 	$(BIN)/python benchmarks/commands.py
 	$(BIN)/python benchmarks/service.py
 	$(BIN)/python benchmarks/training.py
+	$(BIN)/python benchmarks/flow.py
 
 pins: ## Write constraints.txt anew from the newest versions that pyproject.toml allows
 	rm -rf $(PINS)

@@ -13,6 +13,8 @@ from typing import Annotated, Literal
 import tyro
 
 from koop_clients.dataset.generate import Recipe, generate
+from koop_clients.flow.cylinder import DivergedError
+from koop_clients.flow.settings import REYNOLDS, FlowSettings
 from koop_clients.mechanics.excitation import Regime
 from koop_clients.mechanics.rendering import RENDERER
 from koop_clients.mechanics.simulation import FRAME_INTERVAL
@@ -21,6 +23,8 @@ from koop_clients.mechanics.systems import build_system, default_parameters
 try:
     from tqdm import tqdm
 
+    from koop_clients.dataset.bars import Bar
+    from koop_clients.dataset.flow import FlowRecipe, write_flow
     from koop_clients.recording.file import Header, Row, write_recording
 except ModuleNotFoundError as error:
     sys.exit(f"koop-dataset needs {error.name}: pip install 'koop[train]'")
@@ -36,20 +40,34 @@ _ACTUATED_MIX: dict[Regime, float] = {
 }
 
 
+# What only one kind of system knows.
+_MECHANICAL = ("vary", "high", "change_at", "change")
+_FLOWING = ("reynolds", "rotation", "steady")
+
+
+def _unset(metavar: str, otherwise: str) -> object:
+    """An option that stays None unless given."""
+    return tyro.conf.arg(metavar=metavar, help_behavior_hint=f"(default: {otherwise})")
+
+
+_TRAJECTORIES = 1000
+
+
 @dataclass(frozen=True)
 class Arguments:
     """Simulate and draw a training set, and write it as one HDF5 file."""
 
-    system: Literal["pendulum", "double-pendulum", "cartpole"]
-    """Which plant."""
+    system: Literal["pendulum", "double-pendulum", "cartpole", "cylinder"]
+    """Which plant; the cylinder stands in a flow."""
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
     """The HDF5 file to write."""
-    trajectories: int = 1000
+    trajectories: Annotated[int | None, _unset("INT", "1000; 1 of the cylinder")] = None
     """How many trajectories."""
     frames: int = 0
-    """Frames in each (50 ms apart); 0 takes the paper's 100, or 200 when actuated."""
+    """Frames in each (50 ms apart); 0 takes the paper's 100, or 200 when actuated; of the cylinder
+    4328, or 5000."""
     actuated: bool = False
-    """Drive the pole's joint, as the paper's section 3.3 does."""
+    """Drive the pole's joint, as the paper's section 3.3 does, or turn the cylinder."""
     excitation: Literal["mix", "paper", "probing", "soft", "soft-hanging", "free"] = "mix"
     """How an actuated plant is driven: the paper's tight tracking, tracking with a probing torque,
     softly with more of it (near upright or hanging), free with its motor off, or a mix of probing,
@@ -62,10 +80,19 @@ class Arguments:
     """Number of the first frame after a change in mid-stream; 0 changes nothing."""
     change: Annotated[tuple[str, ...], tyro.conf.arg(metavar="PARAMETER:FACTOR ...")] = ()
     """What that change multiplies, and by what: mass:1.5 length:0.8."""
+    reynolds: Annotated[float | None, _unset("FLOAT", f"{REYNOLDS:g}")] = None
+    """Reynolds number of the flow past the cylinder."""
+    rotation: Annotated[
+        Literal["schedule", "feedback", "mix"] | None, _unset("REGIME", "schedule")
+    ] = None
+    """How an actuated cylinder turns: by a random schedule of chirps and holds, by the controller
+    that calms the wake (with some of that schedule on top), or by both in turn."""
+    steady: bool = False
+    """The cylinder's steady flow instead, which control aims at."""
     seed: int = 0
     """Seed; the same seed gives the same file."""
     workers: int = field(default_factory=lambda: os.cpu_count() or 1)
-    """Processes."""
+    """Processes; the cylinder takes one."""
 
 
 def main() -> None:
@@ -73,15 +100,25 @@ def main() -> None:
     arguments = tyro.cli(Arguments, prog="koop-dataset")
     try:
         write(arguments)
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, DivergedError) as error:
         sys.exit(f"koop-dataset: {error}")
 
 
 def write(arguments: Arguments) -> None:
     """Generate the set and write it to `arguments.out` (replaced only once it is complete)."""
-    if arguments.trajectories < 1 or arguments.frames < 0:
+    asked = arguments.trajectories
+    if (asked is not None and asked < 1) or arguments.frames < 0:
         raise ValueError("--trajectories must be at least 1 and --frames not negative")
+    _check_options(arguments)
+    if arguments.system == "cylinder":
+        _write_flow(arguments)
+    else:
+        _write_mechanics(arguments)
+
+
+def _write_mechanics(arguments: Arguments) -> None:
     recipe = _recipe(arguments)
+    count = arguments.trajectories or _TRAJECTORIES
     header = Header(
         recipe.system,
         RENDERER,
@@ -90,13 +127,50 @@ def write(arguments: Arguments) -> None:
         state_size=2 * build_system(recipe.system).model.nv,
         seed=recipe.seed,
     )
-    rows = _rows(recipe, arguments)
-    write_recording(arguments.out, header, arguments.trajectories, recipe.frames, rows)
-    print(f"wrote {arguments.out}: {arguments.trajectories} trajectories of {recipe.frames} frames")
+    rows = _rows(recipe, arguments, count)
+    write_recording(arguments.out, header, count, recipe.frames, rows)
+    print(f"wrote {arguments.out}: {count} trajectories of {recipe.frames} frames")
 
 
-def _rows(recipe: Recipe, arguments: Arguments) -> Iterator[Row]:
-    count, p, outside = arguments.trajectories, int(arguments.actuated), 0
+def _check_options(arguments: Arguments) -> None:
+    """Nothing may be asked of one kind of system that only the other knows."""
+    flows = arguments.system == "cylinder"
+    foreign = [name for name in (_MECHANICAL if flows else _FLOWING) if getattr(arguments, name)]
+    if flows and arguments.excitation != "mix":
+        foreign.append("excitation")
+    if foreign:
+        option = foreign[0].replace("_", "-")
+        others = "the mechanical systems" if flows else "the cylinder"
+        raise ValueError(f"--{option} is for {others}; leave it out with --system "
+                         f"{arguments.system}")  # fmt: skip
+
+
+def _write_flow(arguments: Arguments) -> None:
+    recipe = _flow_recipe(arguments)
+    count, length = recipe.trajectories, recipe.length
+    with Bar("the flow develops", "frame") as first, Bar("", "frame", count * length) as bar:
+        write_flow(arguments.out, recipe, first.stand, bar.count)
+    plural = "y" if count == 1 else "ies"
+    print(f"wrote {arguments.out}: {count} trajector{plural} of {length} frames")
+
+
+def _flow_recipe(arguments: Arguments) -> FlowRecipe:
+    if arguments.rotation is not None and not arguments.actuated:
+        raise ValueError(f"--rotation {arguments.rotation} needs a motor: add --actuated")
+    if arguments.steady and arguments.actuated:
+        raise ValueError("--steady is the flow past a cylinder at rest; leave --actuated out")
+    moving = (arguments.rotation or "schedule") if arguments.actuated else "rest"
+    return FlowRecipe(
+        FlowSettings(reynolds=REYNOLDS if arguments.reynolds is None else arguments.reynolds),
+        "steady" if arguments.steady else moving,
+        arguments.trajectories or 1,
+        arguments.frames,
+        arguments.seed,
+    )
+
+
+def _rows(recipe: Recipe, arguments: Arguments, count: int) -> Iterator[Row]:
+    p, outside = int(arguments.actuated), 0
     samples = generate(recipe, count, arguments.workers)
     for sample in tqdm(samples, total=count, unit="trajectory", file=sys.stderr):
         run = sample.trajectory

@@ -117,10 +117,8 @@ def _moments(
         state = steady(flow, spun_up)
         yield from [Moment(flow.picture(state), flow.probe(state), 0.0)] * recipe.length
         return
-    # Every trajectory turns by a schedule of its own, the first one by the seed's.
-    schedule = recipe.seed + index
-    state = starting(flow, (schedule,), spun_up)
-    plant = FlowPlant(flow, law(recipe.regime, schedule), state)
+    seed = (recipe.seed, index)
+    plant = FlowPlant(flow, law(recipe.regime, seed), starting(flow, seed, spun_up))
     for _ in range(recipe.length):
         picture, probe = plant.draw(), plant.probe
         yield Moment(picture, probe, plant.advance())

@@ -35,7 +35,7 @@ class Arguments:
 
     out: Path = Path("out")
     """Folder for demo.png, demo.json and the frames behind the picture, demo.npz."""
-    learn: float = 20.0
+    learn: float = 26.0
     """Time that the service watches before it drives [s]."""
     drive: float = 8.0
     """Time that it drives [s]."""

@@ -19,18 +19,21 @@ from koop_clients.flow.settings import MAX_ROTATION
 Law = Callable[[int, float], float]
 Regime = Literal["rest", "schedule", "feedback", "mix"]
 
+# Of one trajectory, such as (seed of the run, number of the trajectory).
+Seed = tuple[int, ...]
+
 GAIN = 0.8  # [1/D]; rotation over transverse velocity
 
 _PIECE = 64  # frames of a chirp, of a row of holds, or at rest
 _KINDS, _SHARES = ("chirp", "holds", "rest"), (0.5, 0.4, 0.1)
-_SMALLEST = 0.1  # U/D, of an amplitude
+_SMALLEST, _LARGEST = 0.1, 2.0  # U/D, of an amplitude before it is cut: one in four is full
 _FASTEST = 0.25  # cycles a frame: twice as fast as the wake sheds
 _LONGEST_HOLD = 16  # frames
 _EPISODE = 256  # frames: what the reference controller needs to calm the wake
 _STIR = 0.15  # share of a schedule that acts on top of the controller
 
 
-def law(regime: Regime, seed: int) -> Law:
+def law(regime: Regime, seed: Seed) -> Law:
     """How a regime turns the cylinder.
 
     rest does not. schedule alternates chirps, random holds and pauses. feedback lets the reference
@@ -45,12 +48,12 @@ def law(regime: Regime, seed: int) -> Law:
     return scheduled if regime == "schedule" else stirred
 
 
-def schedule(seed: int) -> Law:
+def schedule(seed: Seed) -> Law:
     """Chirps, random holds and pauses of 64 frames each, |rotation| <= MAX_ROTATION."""
     return lambda number, _probe: _piece(seed, number // _PIECE)[number % _PIECE]
 
 
-def feedback(gain: float = GAIN, bound: float = MAX_ROTATION, stir: int | None = None) -> Law:
+def feedback(gain: float = GAIN, bound: float = MAX_ROTATION, stir: Seed | None = None) -> Law:
     """The reference controller: rotation = gain v(2.14, 0), clipped to +-`bound` [U/D].
 
     With a seed to `stir`, some of that schedule acts on top.
@@ -64,10 +67,11 @@ def feedback(gain: float = GAIN, bound: float = MAX_ROTATION, stir: int | None =
 
 
 @lru_cache(maxsize=64)
-def _piece(seed: int, index: int) -> tuple[float, ...]:
-    rng = np.random.default_rng((seed, index))
+def _piece(seed: Seed, index: int) -> tuple[float, ...]:
+    rng = np.random.default_rng((*seed, index))
     kind = rng.choice(_KINDS, p=_SHARES)
-    amplitude = math.exp(rng.uniform(math.log(_SMALLEST), math.log(MAX_ROTATION)))
+    amplitude = math.exp(rng.uniform(math.log(_SMALLEST), math.log(_LARGEST)))
+    amplitude = min(amplitude, MAX_ROTATION)
     if kind == "rest":
         return (0.0,) * _PIECE
     shape = _chirp(rng) if kind == "chirp" else _holds(rng)
@@ -76,7 +80,8 @@ def _piece(seed: int, index: int) -> tuple[float, ...]:
 
 def _chirp(rng: np.random.Generator) -> np.ndarray:
     """(64,) in [-1, 1]: a sine whose frequency runs from one random value to another."""
-    cycles = np.cumsum(np.linspace(*rng.uniform(0, _FASTEST, 2), _PIECE))
+    first, last = rng.uniform(0, _FASTEST, 2)
+    cycles = np.cumsum(np.linspace(first, last, _PIECE))
     return np.sin(2 * np.pi * (cycles + rng.uniform()))
 
 

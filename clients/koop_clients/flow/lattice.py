@@ -106,8 +106,8 @@ class Lattice:
                 f"the state is {state.shape} {state.dtype}; expected {self.shape} "
                 f"{np.dtype(self.dtype)}, as this lattice's uniform() makes it"
             )
-        speed = np.asarray(speed, self.dtype)[()]
-        args = (self._numbers, self._inflow, self.rim == "open", self._links, speed, self._solid)
+        moving = np.dtype(self.dtype).type(speed)
+        args = (self._numbers, self._inflow, self.rim == "open", self._links, moving, self._solid)
         return _run(state.copy(), np.zeros_like(state), steps, *args)
 
 

@@ -7,9 +7,10 @@ from pathlib import Path
 import numpy as np
 
 from koop_clients.flow.cylinder import CylinderFlow
-from koop_clients.flow.forcing import Law
+from koop_clients.flow.forcing import Law, Seed
 from koop_clients.flow.spinup import Progress, developed
 
+_START = 1 << 20  # of the random numbers; schedules count up from 0
 _PHASES = 16  # frames: nearly two periods of the shedding
 
 
@@ -47,11 +48,11 @@ class FlowPlant:
 
 
 def starting(
-    flow: CylinderFlow, seed: tuple[int, ...], progress: Progress | None = None,
+    flow: CylinderFlow, seed: Seed, progress: Progress | None = None,
     folder: Path | None = None,
 ) -> np.ndarray:  # fmt: skip
     """A developed wake at a random phase; the state of a trajectory's first frame."""
     state = developed(flow, progress, folder)
-    for _ in range(int(np.random.default_rng(seed).integers(_PHASES))):
+    for _ in range(int(np.random.default_rng((*seed, _START)).integers(_PHASES))):
         state = flow.frame(state)
     return state

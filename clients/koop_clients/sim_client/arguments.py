@@ -8,10 +8,12 @@ from typing import Literal
 
 import tyro
 
+from koop_clients.flow.settings import FRAME_INTERVAL as FLOW_INTERVAL
 from koop_clients.mechanics.simulation import FRAME_INTERVAL
 from koop_clients.sim_client.options import (
     DriveOptions,
     Flag,
+    FlowOptions,
     OutputOptions,
     PhysicalOptions,
     PredictionOptions,
@@ -38,10 +40,12 @@ class Arguments:
     stops it with a summary.
     """
 
-    system: Literal["pendulum", "double-pendulum", "cartpole"]
-    """Which plant. It streams as SYSTEM/0 (and SYSTEM/1, ...), or SYSTEM-actuated/0."""
+    system: Literal["pendulum", "double-pendulum", "cartpole", "cylinder"]
+    """Which plant. It streams as SYSTEM/0 (and SYSTEM/1, ...), or SYSTEM-actuated/0. The cylinder
+    stands in a flow; its frames are not grey pictures but density, momenta and energy."""
     actuated: Flag = False
-    """The pole has a motor, which excites it; its torque is streamed as the control."""
+    """The pole has a motor, which excites it; its torque is streamed as the control. The cylinder's
+    turns it by a random schedule; the rotation is streamed."""
     drive: Literal["none", "excite", "lqr", "mpc", "plan", "pd", "state-lqr"] = "none"
     """excite tracks random references. The others do so for a while, then bring the pole to the
     target: lqr obeys the service's feedback gain, mpc its receding horizon, plan follows one plan
@@ -64,6 +68,7 @@ class Arguments:
     service: ServiceOptions = field(default_factory=ServiceOptions)
     output: OutputOptions = field(default_factory=OutputOptions)
     physical: PhysicalOptions = field(default_factory=PhysicalOptions)
+    flow: FlowOptions = field(default_factory=FlowOptions)
 
     def __post_init__(self) -> None:
         require(self.trajectories >= 1, "trajectories", self.trajectories, "at least 1")
@@ -72,11 +77,37 @@ class Arguments:
         require(not_negative(self.duration), "duration", self.duration, "0 or more")
         expected = "realtime, max, or a factor above 0 such as 4"
         require(self.speed > 0, "rate", self.rate, expected)
+        self._check_kind()
         if self.drives and self.duration and self.duration <= self.driving.learn:
             raise ValueError(
                 f"--duration is {self.duration:g} s, no longer than --learn "
                 f"({self.driving.learn:g} s); nothing is left for {self.drive} to drive"
             )
+
+    def _check_kind(self) -> None:
+        """Nothing may be asked of one kind of system that only the other knows."""
+        if not self.is_flow:
+            require(self.flow.reynolds is None, "reynolds", self.flow.reynolds,
+                    "nothing: only the cylinder stands in a flow")  # fmt: skip
+            return
+        require(not self.drives, "drive", self.drive, "none or excite: no drive knows the cylinder")
+        for name, value in {
+            **self.physical.given,
+            "strip": self.output.strip,
+            "record": self.output.record,
+        }.items():
+            option = name.replace("_", "-")
+            require(value is None, option, value, "nothing: it is not for the cylinder")
+
+    @property
+    def is_flow(self) -> bool:
+        """Whether it is the flow past the cylinder."""
+        return self.system == "cylinder"
+
+    @property
+    def interval(self) -> float:
+        """From one frame to the next [s]."""
+        return FLOW_INTERVAL if self.is_flow else FRAME_INTERVAL
 
     @property
     def is_actuated(self) -> bool:
@@ -101,7 +132,7 @@ class Arguments:
     @property
     def frames(self) -> float:
         """How many frames to stream; infinite until Ctrl-C."""
-        return round(self.duration / FRAME_INTERVAL) or math.inf
+        return round(self.duration / self.interval) or math.inf
 
     def trajectory(self, index: int) -> str:
         """The name that plant `index` streams under; the service picks its model by it."""

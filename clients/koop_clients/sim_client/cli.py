@@ -4,15 +4,20 @@ from __future__ import annotations
 
 import sys
 import time
+from collections.abc import Callable
+from functools import partial
 
 import zenoh
 
 from koop_clients.connection import NoServiceError, flush, open_session
+from koop_clients.flow.cylinder import DivergedError
+from koop_clients.flow.settings import FlowSettings
 from koop_clients.mechanics.systems import System, build_system
 from koop_clients.queries import NO_REPLY, KoopClient, KoopError
 from koop_clients.sim_client.arguments import Arguments, parse_arguments
 from koop_clients.sim_client.display import Display
 from koop_clients.sim_client.driving.target import Target, read_target
+from koop_clients.sim_client.flow import FlowRun
 from koop_clients.sim_client.live import LiveRun
 from koop_clients.sim_client.pacing import Stop
 
@@ -26,18 +31,37 @@ def main() -> None:
     cannot serve the system, or finds its model not fit to drive any of the plants.
     """
     try:
-        arguments = parse_arguments()
-        system = build_system(arguments.system, arguments.physical.given)
-        target = read_target(arguments.driving, system)
+        begin = _prepared(parse_arguments())
     except ValueError as error:
         print(f"koop-sim-client: {error}", file=sys.stderr)
         sys.exit(2)
     try:
-        run(arguments, system, target)
-    except (KoopError, OSError, ValueError) as error:
+        begin()
+    except (KoopError, OSError, ValueError, DivergedError) as error:
         sys.exit(f"koop-sim-client: {error}")
     except KeyboardInterrupt:
         sys.exit(130)
+
+
+def _prepared(arguments: Arguments) -> Callable[[], None]:
+    """The run that the arguments ask for; ValueError where they make no sense."""
+    if arguments.is_flow:
+        return partial(run_flow, arguments, arguments.flow.settings)
+    system = build_system(arguments.system, arguments.physical.given)
+    return partial(run, arguments, system, read_target(arguments.driving, system))
+
+
+def run_flow(arguments: Arguments, settings: FlowSettings) -> None:
+    """Stream flows; then say what was streamed."""
+    display = Display()
+    with _connect(arguments, display) as session:
+        stop = Stop()
+        stop.catch_signals()
+        live = FlowRun(arguments, settings, session, display)
+        live.run(stop)
+        flush(session)
+    result = live.result()
+    print(result.to_json() if arguments.output.json else "\n" + result.to_text())
 
 
 def run(arguments: Arguments, system: System, target: Target) -> None:
@@ -107,9 +131,9 @@ def _plan(arguments: Arguments) -> str:
     last = f" to {arguments.first + count - 1}" if count > 1 else ""
     names = arguments.trajectory(0) + last
     until = f"for {arguments.duration:g} s" if arguments.duration else "until Ctrl-C"
-    what = "swinging freely"
+    what = "flowing freely" if arguments.is_flow else "swinging freely"
     if arguments.is_actuated:
-        what = "tracking random references"
+        what = "turning at random" if arguments.is_flow else "tracking random references"
     if arguments.drives:
         driver = "the service" if arguments.method else f"{arguments.drive} from the true state"
         what += f", and driven by {driver} after {arguments.driving.learn:g} s"

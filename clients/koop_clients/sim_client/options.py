@@ -10,6 +10,7 @@ from typing import Annotated
 import tyro
 
 from koop_clients.connection import DEFAULT_ENDPOINT
+from koop_clients.flow.settings import REYNOLDS, FlowSettings
 
 ANGLES = {"upright": 0.0, "hang": math.pi}
 """Targets by name [rad]."""
@@ -175,6 +176,19 @@ class OutputOptions:
     """Save some predictions of the first plant, and the drives (NumPy .npz)."""
     json: Flag = False
     """Print the summary as one line of JSON."""
+
+
+@dataclass(frozen=True)
+class FlowOptions:
+    """The flow past the cylinder."""
+
+    reynolds: Annotated[float | None, unset("FLOAT", f"{REYNOLDS:g}")] = None
+    """Reynolds number of the flow past the cylinder."""
+
+    @property
+    def settings(self) -> FlowSettings:
+        """Of the simulator."""
+        return FlowSettings(REYNOLDS if self.reynolds is None else self.reynolds)
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,127 @@
+"""`koop-sim-client --system cylinder` over real Zenoh: what is streamed is what is simulated."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+import zenoh
+
+from koop_clients.flow.cylinder import CylinderFlow
+from koop_clients.flow.forcing import schedule
+from koop_clients.flow.plant import starting
+from koop_clients.sim_client.arguments import parse_arguments
+from koop_clients.sim_client.options import FlowOptions
+from koop_protocol import Control, ErrorReply, Frame, decode, encode
+
+
+@pytest.fixture(autouse=True)
+def coarse(
+    small: CylinderFlow, tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.getbasetemp() / "cache"))
+    monkeypatch.setattr(FlowOptions, "settings", small.settings)
+
+
+@pytest.fixture
+def seen(hub: zenoh.Session) -> Iterator[list[Frame | Control]]:
+    """What came, in order, at a service that is there and knows nothing."""
+    messages: list[Any] = []
+
+    def refuse(query: zenoh.Query) -> None:
+        with query:
+            query.reply_err(encode(ErrorReply("unknown_trajectory", "no frame has come")))
+
+    direct: Any = zenoh.handlers.Callback
+    declared: list[Any] = [
+        hub.declare_subscriber(
+            f"koop/{kind}/**",
+            direct(lambda sample: messages.append(decode(bytes(sample.payload))), indirect=False),
+        )
+        for kind in ("frame", "control")
+    ]
+    declared.append(hub.declare_queryable("koop/state/**", refuse))
+    yield messages
+    del declared
+
+
+def of_kind(seen: list[Any], kind: type) -> list[Any]:
+    return [message for message in seen if isinstance(message, kind)]
+
+
+def test_a_free_flow_streams(
+    small: CylinderFlow, seen: list[Frame | Control], command: Callable
+) -> None:
+    out, err = command("--system", "cylinder", "--duration", "1.2")
+    frames = of_kind(seen, Frame)
+    assert [(f.trajectory, f.seq, f.control_size) for f in frames] == [
+        ("cylinder/0", k, 0) for k in range(8)
+    ]
+    assert not of_kind(seen, Control)
+    assert {f.renderer for f in frames} == {"koop-lbm-1"}
+    state = starting(small, (0, 0))
+    for frame in frames:
+        assert frame.image.dtype == np.float16
+        assert np.array_equal(frame.image, small.picture(state))
+        state = small.frame(state)
+    assert "streamed 8 frames in" in out
+    assert "streaming cylinder/0 for 1.2 s, flowing freely" in err
+
+
+def test_rotations_are_streamed_between_the_frames(
+    small: CylinderFlow, seen: list[Frame | Control], command: Callable
+) -> None:
+    options = ("--actuated", "--duration", "1.2", "--trajectories", "2", "--seed", "3", "--json")
+    out, err = command("--system", "cylinder", *options)
+    result = json.loads(out)
+    assert result["frames"] == 16
+    assert result["completed"]
+    assert result["simulated"] == pytest.approx(7 * 0.15)
+    assert "turning at random" in err
+    for index in range(2):
+        name, turn = f"cylinder-actuated/{index}", schedule((3, index))
+        mine = [message for message in seen if message.trajectory == name]
+        assert [type(m) for m in mine] == [Frame, *(7 * [Control, Frame])]
+        assert [m.seq for m in mine] == [0, *(n for k in range(7) for n in (k, k + 1))]
+        state = starting(small, (3, index))
+        for frame, control in zip(mine[::2], [*mine[1::2], None], strict=True):
+            assert frame.control_size == 1
+            assert np.array_equal(frame.image, small.picture(state))
+            if control is not None:
+                assert control.u.tolist() == [turn(control.seq, 0.0)]
+                state = small.frame(state, control.u[0])
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (("cylinder", "--drive", "mpc"), "no drive knows the cylinder"),
+        (("cylinder", "--mass", "2"), "--mass is 2.0; expected nothing"),
+        (("cylinder", "--strip", "a.png"), "--strip is a.png; expected nothing"),
+        (("pendulum", "--reynolds", "60"), "only the cylinder stands in a flow"),
+    ],
+)
+def test_what_makes_no_sense_is_refused(
+    options: tuple[str, ...], words: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit) as caught:
+        parse_arguments(["--system", *options])
+    assert caught.value.code == 2
+    lines = (line.strip(" │") for line in capsys.readouterr().err.splitlines())
+    assert words in " ".join(lines)
+
+
+def test_the_first_run_tells_that_the_wake_develops(
+    seen: list[Frame | Control],
+    command: Callable,
+    monkeypatch: pytest.MonkeyPatch,
+    tmp_path_factory: pytest.TempPathFactory,
+) -> None:
+    del seen
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.mktemp("empty")))
+    for expected in (True, False):
+        _, err = command("--system", "cylinder", "--duration", "0.3")
+        assert ("the wake develops" in err) == expected

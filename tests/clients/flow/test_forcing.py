@@ -1,0 +1,57 @@
+"""Schedules are pure, bounded and rich; the controller is what it says."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from koop_clients.flow.forcing import feedback, law, schedule
+from koop_clients.flow.settings import MAX_ROTATION
+
+
+def series(seed: int, frames: int) -> np.ndarray:
+    turn = schedule((seed, 0))
+    return np.array([turn(number, 0.0) for number in range(frames)])
+
+
+def test_a_schedule_depends_on_seed_and_number_alone() -> None:
+    ordered = series(3, 300)
+    turn = schedule((3, 0))
+    shuffled = np.random.default_rng(0).permutation(300)
+    assert all(turn(int(n), 0.7) == ordered[n] for n in shuffled)
+    assert not np.array_equal(ordered, series(4, 300))
+    other = schedule((3, 1))
+    assert any(other(n, 0.0) != ordered[n] for n in range(64, 128))
+
+
+@given(st.integers(0, 10**9), st.integers(0, 10**6), st.floats(-5, 5))
+def test_no_law_turns_faster_than_allowed(seed: int, number: int, probe: float) -> None:
+    for regime in ("rest", "schedule", "feedback", "mix"):
+        assert abs(law(regime, (seed, 0))(number, probe)) <= MAX_ROTATION
+
+
+def test_a_schedule_is_rich() -> None:
+    turned = series(0, 5000)
+    assert 0.9 * MAX_ROTATION < np.abs(turned).max() <= MAX_ROTATION
+    assert 0.02 < np.mean(turned == 0) < 0.25
+    power = np.abs(np.fft.rfft(turned)) ** 2
+    bands = [band.mean() for band in np.array_split(power[: len(power) // 2], 5)]  # to 0.25/frame
+    assert min(bands) > 0.05 * max(bands)
+
+
+def test_the_reference_controller_is_proportional_and_bounded() -> None:
+    turn = feedback()
+    assert turn(0, 0.25) == pytest.approx(0.2)
+    assert turn(9, -0.25) == pytest.approx(-0.2)
+    assert turn(0, 9.0) == MAX_ROTATION
+    assert feedback(bound=0.1)(0, -0.25) == -0.1
+
+
+def test_a_mix_takes_schedule_and_feedback_in_turn() -> None:
+    mixed, scheduled = law("mix", (5, 0)), schedule((5, 0))
+    for number in (0, 255, 512):
+        assert mixed(number, 0.1) == scheduled(number, 0.1)
+    for number in (256, 400, 511):
+        assert mixed(number, 0.1) == pytest.approx(0.08 + 0.15 * scheduled(number, 0.1))
