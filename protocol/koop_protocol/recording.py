@@ -10,7 +10,7 @@ RECORDING_FORMAT = "koop-recording"
 RECORDING_VERSION = 1
 
 FRAMES_DATASET = "frames"
-"""(N, T, H, W) uint8: the images."""
+"""(N, T, H, W) uint8: pictures; or (N, T, C, H, W) float16 or float32, finite: fields."""
 
 CONTROLS_DATASET = "controls"
 """(N, T-1, p) float64: control k acts between frames k and k+1."""

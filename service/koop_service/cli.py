@@ -44,8 +44,6 @@ from koop_service.serving.steering.tasks import Tasks
 
 log = logging.getLogger("koop.service")
 
-_REHEARSED = 64
-"""Largest batch that is rehearsed."""
 _RETRY = 0.5
 """Seconds between two attempts to reach a router."""
 _LAST_BATCH = 0.7
@@ -192,7 +190,7 @@ def _catalogue(config: ServiceConfig) -> Catalogue:
 def _prepare(registry: Registry, catalogue: Catalogue, batch: int) -> None:
     """Load what the first frame would have to wait for, and keep it out of garbage collection."""
     for entry in catalogue.entries[:1]:
-        rehearse(*registry.equipment(entry, control_size=1), min(batch, _REHEARSED))
+        rehearse(*registry.equipment(entry, control_size=1), batch)
     gc.collect()
     gc.freeze()
 

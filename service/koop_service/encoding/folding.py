@@ -7,7 +7,7 @@ from typing import cast
 import torch
 from torch import Tensor, nn
 
-from koop_service.encoding.autoencoder import Autoencoder
+from koop_service.encoding.autoencoder import Autoencoder, Size
 
 
 def fold(model: Autoencoder) -> tuple[nn.Module, nn.Module]:
@@ -23,13 +23,14 @@ def fold(model: Autoencoder) -> tuple[nn.Module, nn.Module]:
 class _SignedPool(nn.Module):
     """Max-pooling of channels whose normalisation had a negative scale: the sign acts after it."""
 
-    def __init__(self, sign: Tensor, shift: Tensor) -> None:
+    def __init__(self, pool: nn.Module, sign: Tensor, shift: Tensor) -> None:
         super().__init__()
+        self.pool = pool
         self.sign = nn.Parameter(sign[:, None, None])
         self.shift = nn.Parameter(shift[:, None, None])
 
     def forward(self, x: Tensor) -> Tensor:
-        return nn.functional.max_pool2d(x, 2) * self.sign + self.shift
+        return self.pool(x) * self.sign + self.shift
 
 
 def _fold_encoder_block(block: nn.Module) -> nn.Module:
@@ -44,14 +45,20 @@ def _fold_encoder_block(block: nn.Module) -> nn.Module:
         return nn.Sequential(folded, pool, *activation)
     # max(s x) = s max(x) only for s >= 0.
     folded.bias = nn.Parameter(bias * scale.abs())
-    return nn.Sequential(folded, _SignedPool(scale.sign(), shift), *activation)
+    return nn.Sequential(folded, _SignedPool(pool, scale.sign(), shift), *activation)
 
 
 def _fold_decoder_block(block: nn.Module) -> nn.Module:
     conv, norm, *activation = block.children()
     conv = cast("nn.ConvTranspose2d", conv)
     scale, shift = _affine(cast("nn.BatchNorm2d", norm))
-    folded = nn.ConvTranspose2d(conv.in_channels, conv.out_channels, 2, stride=2)
+    folded = nn.ConvTranspose2d(
+        conv.in_channels,
+        conv.out_channels,
+        cast("Size", conv.kernel_size),
+        cast("Size", conv.stride),
+        cast("Size", conv.padding),
+    )
     folded.weight = nn.Parameter(conv.weight.detach() * scale[None, :, None, None])
     folded.bias = nn.Parameter(cast("Tensor", conv.bias).detach() * scale + shift)
     return nn.Sequential(folded, *activation)

@@ -2,46 +2,56 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import torch
 from torch import Tensor, nn
 
-from koop_service.encoding.autoencoder import Autoencoder
+from koop_service.encoding.autoencoder import Autoencoder, channels_first
 from koop_service.encoding.folding import fold
 from koop_service.encoding.weights import ModelCard
 
-# On a processor more do not fit the second-level cache, and are slower.
-_CPU_BATCH, _GPU_BATCH = 16, 1024
+# Values of the frames in a batch. On a processor more do not fit the second-level cache, and are
+# slower: 16 pictures of 64 x 64. A larger frame goes alone.
+_CPU_BATCH, _GPU_BATCH = 16 * 64 * 64, 1024 * 64 * 64
 
 
 class ImageCodec:
     """Encoder and decoder of one model on one device.
 
     A code's bits must not depend on the batch that its frame rode in. Batches of two and more keep
-    that on a CPU; a batch of one takes another kernel and rounds differently, so it is padded.
+    that on a CPU; a batch of one takes another kernel and rounds differently, so it is padded,
+    except where all go alone.
     """
 
     def __init__(self, model: Autoencoder, card: ModelCard, device: str = "cpu") -> None:
         self.card = card
         self.code_size = card.code_size
         self.image_shape = card.image_shape
+        self.value_range = card.value_range
         self.renderer = card.renderer
         self._device = torch.device(device)
-        self._largest = _CPU_BATCH if self._device.type == "cpu" else _GPU_BATCH
+        values = _CPU_BATCH if self._device.type == "cpu" else _GPU_BATCH
+        self._largest = max(1, values // math.prod(card.image_shape))
         self._encoder, self._decoder = (part.to(self._device) for part in fold(model))
 
     def encode(self, images: np.ndarray) -> np.ndarray:
-        """Codes (B, n) float64 of images (B, H, W): uint8, or floats in [0, 1]."""
+        """Codes (B, n) float64 of images (B, H, W) or (B, C, H, W): floats, or uint8 in 255ths."""
         scale = 1 / 255 if images.dtype == np.uint8 else 1.0
         pixels = torch.tensor(images).to(self._device, torch.float32).mul_(scale)
-        codes = self._in_batches(self._encoder, pixels[:, None])
+        inputs = pixels.reshape(-1, *channels_first(self.image_shape))
+        codes = self._in_batches(self._encoder, inputs)
         return codes.reshape(len(images), self.code_size).astype(np.float64)
 
     def decode(self, codes: np.ndarray, dtype: type | np.dtype = np.float32) -> np.ndarray:
-        """Images (B, H, W) of codes (B, n), clipped to [0, 1], or to [0, 255] for uint8."""
+        """Images (B, H, W) or (B, C, H, W) of codes (B, n), clipped to the card's range.
+
+        For uint8 that is [0, 255].
+        """
         inputs = torch.tensor(codes, dtype=torch.float32, device=self._device)
         images = self._in_batches(self._decoder, inputs[:, :, None, None])
-        images = images.reshape(len(codes), *self.image_shape).clip(0.0, 1.0)
+        images = images.reshape(len(codes), *self.image_shape).clip(*self.value_range)
         if np.dtype(dtype) == np.uint8:
             images = np.rint(images * 255)
         return images.astype(dtype)

@@ -15,13 +15,16 @@ from safetensors import SafetensorError, safe_open
 from safetensors.torch import save_file
 from torch import Tensor
 
-from koop_service.encoding.autoencoder import IMAGE_SIZE, Autoencoder
+from koop_service.encoding.architecture import PAPER, Architecture
+from koop_service.encoding.autoencoder import IMAGE_SIZE, Autoencoder, channels_first
 from koop_service.estimation.settings import EstimatorSettings
 from koop_service.prediction.uncertainty import SCALE_HORIZONS
 
 FORMAT = "koop-autoencoder-1"
 FITTED = "fitted"
 """`ModelCard.dynamics` of a model whose dynamics are fitted to each trajectory as it streams."""
+UNIT = (0.0, 1.0)
+"""`ModelCard.value_range` of pictures."""
 DYNAMICS_TENSOR = "dynamics.matrix"
 """The learned part of any other model's dynamics; `koop_service.learning.dynamics` reads it."""
 
@@ -66,18 +69,30 @@ class ModelCard:
 
     `renderer` drew the training frames ("" for a real camera); `dt` is the frame interval [s];
     `training` records data, preset, seed and command; `figures` what was measured on unseen data.
-    `dynamics` is FITTED, or the baseline that was learned in its place.
+    `dynamics` is FITTED, or the baseline that was learned in its place. `image_shape` is (H, W) or
+    (C, H, W). Frames of floats have values in `value_range`; where it is UNIT they may be uint8
+    too, in 255ths.
     """
 
     system: str
     renderer: str
     dt: float
     code_size: int = 8
-    image_shape: tuple[int, int] = (IMAGE_SIZE, IMAGE_SIZE)
+    image_shape: tuple[int, ...] = (IMAGE_SIZE, IMAGE_SIZE)
     estimator: EstimatorDefaults = field(default_factory=EstimatorDefaults)
     training: Mapping[str, object] = field(default_factory=dict)
     figures: Mapping[str, object] = field(default_factory=dict)
     dynamics: str = FITTED
+    value_range: tuple[float, float] = UNIT
+    architecture: Architecture = PAPER
+
+    def __post_init__(self) -> None:
+        if len(self.image_shape) not in (2, 3) or min(self.image_shape) < 1:
+            raise ValueError(f"image_shape is {self.image_shape}; expected (H, W) or (C, H, W)")
+        self.architecture.remainder(*channels_first(self.image_shape)[1:])
+        low, high = self.value_range
+        if not (math.isfinite(low) and math.isfinite(high) and low < high):
+            raise ValueError(f"value_range is {self.value_range}; expected two rising numbers")
 
 
 def save_weights(
@@ -107,7 +122,7 @@ def load_card(path: Path) -> ModelCard:
 def load_weights(path: Path) -> tuple[Autoencoder, ModelCard]:
     """Model in evaluation mode, and its card. Raises ValueError where the file does not fit."""
     card = load_card(path)
-    model = Autoencoder(card.code_size)
+    model = Autoencoder(card.code_size, card.image_shape, card.architecture)
     try:
         with safe_open(path, "pt") as file:
             tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
@@ -136,7 +151,11 @@ def _card(path: Path, metadata: Mapping[str, str]) -> ModelCard:
     try:
         fields = json.loads(metadata["card"])
         fields["estimator"] = _estimator(fields["estimator"])
+        # JSON has lists; and cards written before there were fields of floats have only pictures.
         fields["image_shape"] = tuple(fields["image_shape"])
+        fields["value_range"] = tuple(fields.get("value_range", UNIT))
+        if "architecture" in fields:
+            fields["architecture"] = Architecture.from_fields(fields["architecture"])
         return ModelCard(**fields)
     except (KeyError, TypeError, ValueError) as error:
         raise ValueError(f"{path} has a model card that cannot be read: {error}") from error

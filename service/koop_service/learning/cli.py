@@ -26,7 +26,7 @@ from koop_service.encoding.weights import (
 try:
     from koop_service.learning import hardware
     from koop_service.learning.bands import band_scale
-    from koop_service.learning.evaluation import encode_all, evaluate, select
+    from koop_service.learning.evaluation import encode_all, evaluate, frames_needed, select
     from koop_service.learning.parallel import joined
     from koop_service.learning.presets import PRESETS, Preset, with_regime
     from koop_service.learning.recording import Recording, load_recording
@@ -34,8 +34,6 @@ try:
     from koop_service.learning.train import Setting, Training, begin
 except ModuleNotFoundError as error:
     sys.exit(f"koop-train needs {error.name}: pip install 'koop[train]'")
-
-HELD_OUT = 0.04  # share of the trajectories, the last ones, that training never sees
 
 
 @dataclass(frozen=True)
@@ -46,8 +44,9 @@ class Arguments:
     """An HDF5 recording (koop-dataset and koop-record write one)."""
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
     """The weights to write (safetensors)."""
-    preset: Literal["cpu", "paper", "smoke"] = "cpu"
-    """Schedule: cpu (a quarter of an hour on 2 cores), paper (a GPU's) or smoke (seconds)."""
+    preset: Literal["cpu", "paper", "flow", "smoke"] = "cpu"
+    """Schedule: cpu (a quarter of an hour on 2 cores), paper (a GPU's), flow (fields of 128 x 256,
+    short windows of long trajectories) or smoke (seconds)."""
     dynamics: Literal["fitted", "learned-A", "learned-B"] = "fitted"
     """fitted to each trajectory (ours), or learned for all: the baselines [17] (A) and [6] (B)."""
     regime: Literal["offline", "partial", "full"] | None = None
@@ -93,10 +92,13 @@ def run(arguments: Arguments) -> None:
         torch.set_num_threads(arguments.threads)
     _check_writable(arguments.out)
     recording = load_recording(arguments.recording)
-    seen, unseen = recording.split(HELD_OUT)
     warm = _start(arguments.start_from, recording) if arguments.start_from else None
-    preset = chosen_preset(arguments, warm).on(seen)
-    _check_recording(arguments, recording, preset)
+    preset = chosen_preset(arguments, warm)
+    _check_shape(arguments, recording, preset)
+    seen, unseen = preset.split(recording)
+    preset = preset.on(seen)
+    _check_recording(arguments, seen, preset)
+    _check_unseen(arguments, unseen, preset)
     with joined(arguments.device) as (group, local_rank):
         machine = hardware.choose(arguments.device, arguments.precision, local_rank)
         setting = Setting(seen, preset, arguments.seed, machine, group, say)
@@ -178,16 +180,27 @@ def chosen_preset(arguments: Arguments, warm: Autoencoder | None) -> Preset:
             f"{arguments.start_from} has codes of size {size}, not --code-size "
             f"{arguments.code_size}; leave --code-size away, or train without --start-from"
         )
-    return dataclasses.replace(preset, code_size=arguments.code_size or size)
+    architecture = preset.architecture if warm is None else warm.architecture
+    return dataclasses.replace(
+        preset, code_size=arguments.code_size or size, architecture=architecture
+    )
+
+
+def _check_shape(arguments: Arguments, recording: Recording, preset: Preset) -> None:
+    """Raise ValueError where the preset's network is not for the recording's frames."""
+    try:
+        preset.architecture.remainder(*recording.image_shape[-2:])
+    except ValueError as error:
+        raise ValueError(f"{arguments.recording}: {error}") from error
 
 
 def _check_recording(arguments: Arguments, recording: Recording, preset: Preset) -> None:
-    """Raise ValueError where the recording does not fit the preset."""
+    """Raise ValueError where what is seen of the recording does not fit the preset."""
     count, length = recording.frames.shape[:2]
     roll = preset.roll_out(recording.controls.shape[2])
     if length < roll.longest:
         raise ValueError(
-            f"{arguments.recording} has trajectories of {length} frames; preset "
+            f"{arguments.recording} has trajectories of {length} frames to train on; preset "
             f"{arguments.preset} fits up to {roll.fit_frames[1]} of them and needs "
             f"{roll.after(roll.horizon)} more, so at least {roll.longest}; record longer ones"
         )
@@ -195,7 +208,19 @@ def _check_recording(arguments: Arguments, recording: Recording, preset: Preset)
     if some.min() == some.max():
         raise ValueError(
             f"{arguments.recording} shows nothing: every pixel of every frame is "
-            f"{int(some.max())}; look at its frames, and record it again"
+            f"{some.max():g}; look at its frames, and record it again"
+        )
+
+
+def _check_unseen(arguments: Arguments, unseen: Recording, preset: Preset) -> None:
+    """Raise ValueError where what is held out is too short to be judged: now, not after hours."""
+    length, controls = unseen.frames.shape[1], unseen.controls.shape[2]
+    defaults = EstimatorDefaults(history=preset.history)
+    needed = frames_needed(defaults.settings(preset.code_size, controls))
+    if length < needed:
+        raise ValueError(
+            f"{arguments.recording} is judged on sequences of {length} frames; codes of size "
+            f"{preset.code_size} need {needed}: choose a smaller --code-size, or record longer ones"
         )
 
 
@@ -219,6 +244,11 @@ def _start(path: Path, recording: Recording) -> Autoencoder:
             f"{path} was trained on frames drawn by {card.renderer!r}, the recording holds frames "
             f"drawn by {recording.renderer!r}; train afresh, without --start-from"
         )
+    if card.image_shape != recording.image_shape:
+        raise ValueError(
+            f"{path} was trained on frames {card.image_shape}, the recording holds frames "
+            f"{recording.image_shape}; train afresh, without --start-from"
+        )
     return model
 
 
@@ -239,6 +269,9 @@ def model_card(recording: Recording, preset: Preset, arguments: Arguments) -> Mo
         renderer=recording.renderer,
         dt=recording.dt,
         code_size=preset.code_size,
+        image_shape=recording.image_shape,
+        value_range=recording.value_range,
+        architecture=preset.architecture,
         estimator=EstimatorDefaults(history=preset.history, rho=roll.rho),
         training={
             "trajectories": recording.frames.shape[0],

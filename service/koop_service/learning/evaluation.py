@@ -15,8 +15,9 @@ import numpy as np
 
 from koop_service.encoding.image_codec import ImageCodec
 from koop_service.encoding.weights import EstimatorDefaults
+from koop_service.estimation.settings import EstimatorSettings
 from koop_service.learning.recording import Recording
-from koop_service.learning.streaming import Encoded, moments
+from koop_service.learning.streaming import STRIDE, Encoded, moments
 from koop_service.prediction.rollout import rollout
 
 HORIZONS = (1, 2, 5, 10, 20)  # frames
@@ -29,7 +30,10 @@ _TOLERANCE = 1.1
 
 @dataclass(frozen=True)
 class Evaluation:
-    """RMSE a pixel (pixels in [0, 1]) by horizon in frames, over all trajectories and restarts."""
+    """RMSE a value (pictures in [0, 1], fields as recorded), over all trajectories and restarts.
+
+    `predicted` and `repeat_last` by horizon in frames.
+    """
 
     reconstruction: float
     predicted: dict[int, float]
@@ -39,9 +43,20 @@ class Evaluation:
 def encode_all(codec: ImageCodec, recording: Recording) -> list[Encoded]:
     """Every trajectory of `recording` with its codes."""
     return [
-        Encoded(frames / np.float32(255), codec.encode(frames), controls)
+        Encoded(as_floats(frames), codec.encode(frames), controls)
         for frames, controls in zip(recording.frames, recording.controls, strict=True)
     ]
+
+
+def frames_needed(settings: EstimatorSettings) -> int:
+    """Frames of the shortest trajectory that can be judged, at one moment."""
+    first = -(-settings.warmup_frames // STRIDE) * STRIDE
+    return first + max(HORIZONS) + 1
+
+
+def as_floats(frames: np.ndarray) -> np.ndarray:
+    """Frames as float32, uint8 ones in [0, 1]."""
+    return frames / np.float32(255) if frames.dtype == np.uint8 else frames.astype(np.float32)
 
 
 def evaluate(
@@ -98,9 +113,14 @@ def _errors(
     for start, ahead in _predictions(trajectory, defaults):
         truth = trajectory.images[start + steps]
         decoded = codec.decode(ahead[steps - 1])
-        predicted.append(((decoded - truth) ** 2).mean((1, 2)))
-        repeated.append(((trajectory.images[start] - truth) ** 2).mean((1, 2)))
+        predicted.append(_mean_squares(decoded - truth))
+        repeated.append(_mean_squares(trajectory.images[start] - truth))
     return np.array(predicted), np.array(repeated)
+
+
+def _mean_squares(errors: np.ndarray) -> np.ndarray:
+    """(K,) of errors (K, ...)."""
+    return (errors**2).reshape(len(errors), -1).mean(1)
 
 
 def _predictions(

@@ -19,7 +19,7 @@ from koop_service.learning.dynamics import Dynamics
 from koop_service.learning.fit import regressors, roll_out
 from koop_service.learning.hardware import Hardware
 from koop_service.learning.presets import Preset, RollOut
-from koop_service.learning.windows import Batch
+from koop_service.learning.windows import Batch, as_images
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,7 +39,7 @@ class Loss:
 
 
 def autoencoder_loss(model: Autoencoder, images: Tensor, hardware: Hardware) -> Loss:
-    """Mean squared error a pixel of images (B, 1, 64, 64) encoded and decoded."""
+    """Mean squared error a pixel of images (B, C, H, W) encoded and decoded."""
     codes = encoded(model.encoder, images, hardware)
     with hardware.autocast():
         decoded = model.decode(codes)
@@ -155,10 +155,10 @@ class DynamicsLoss:
         known = known.to(codes.device)
         inputs = torch.cat([*(chosen for chosen, _ in ahead), codes.flatten(0, 1)[known]])
         frames = torch.cat([*(aims for _, aims in ahead), known])
-        truth = images.flatten(0, 1)[frames].float() / 255
+        truth = as_images(images.flatten(0, 1)[frames])
         with self.hardware.autocast():
             decoded = self.model.decode(inputs)
-        error = ((decoded.float()[:, 0] - truth) ** 2).mean((1, 2))
+        error = ((decoded.float() - truth) ** 2).mean((1, 2, 3))
         scale = truth.var()
         robust = scale * torch.log1p(error / scale)
         return robust[: -len(known)].mean(), robust[-len(known) :].mean()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 
+from koop_service.encoding.architecture import FLOW, PAPER, Architecture
 from koop_service.learning.recording import Recording
 
 
@@ -70,6 +71,9 @@ class Preset:
     `predicted` and `reconstructed` frames of a batch are decoded. The first `frozen_blocks` encoder
     blocks are not trained with the dynamics: their outputs are computed once and kept, as many as
     fit `memory` [bytes] together with the frames.
+
+    The last `held_out` share is never trained on: of the trajectories or, where `segment` is given,
+    of every trajectory's frames, cut into sequences of so many.
     """
 
     autoencoder: Stage
@@ -85,6 +89,15 @@ class Preset:
     code_size: int = 8
     frozen_blocks: int = 3
     memory: float = 2.9e9
+    architecture: Architecture = PAPER
+    held_out: float = 0.04
+    segment: int = 0
+
+    def split(self, recording: Recording) -> tuple[Recording, Recording]:
+        """(seen, unseen)."""
+        if self.segment:
+            return recording.split_in_time(self.held_out, self.segment)
+        return recording.split(self.held_out)
 
     def roll_out(self, controls: int) -> RollOut:
         """The roll-out for a recording with so many controls."""
@@ -121,6 +134,22 @@ PRESETS = {
         predicted=640,
         reconstructed=320,
         frozen_blocks=0,
+    ),
+    # Windows of 32 frames, 16 to fit and 16 to predict, batches of 16, 1e-3 (section A.3). A field
+    # is a whole state, which pictures are not: one frame of history will do.
+    "flow": replace(
+        _CPU,
+        autoencoder=Stage(3000, batch=16, rate=3e-3, clip=1.0),
+        dynamics=Stage(2000, batch=16, rate=1e-3, clip=0.1),
+        free=RollOut(fit_frames=(16, 16), horizon=16, rho=1e-3, restarts=5, short=4, beyond=16),
+        actuated=RollOut(fit_frames=(16, 16), horizon=16, rho=1e-2, restarts=5, short=4, beyond=16),
+        predicted=24,
+        reconstructed=8,
+        history=1,
+        frozen_blocks=4,
+        architecture=FLOW,
+        held_out=0.12,
+        segment=128,
     ),
     "smoke": replace(
         _CPU,

@@ -15,7 +15,9 @@ import numpy as np
 
 from koop_protocol import recording as names
 from koop_service.encoding.autoencoder import IMAGE_SIZE
+from koop_service.encoding.weights import UNIT
 
+_MARGIN = 10  # beyond it frames come in another unit
 _MAKE = "make one with koop-dataset or koop-record"
 
 
@@ -23,8 +25,8 @@ _MAKE = "make one with koop-dataset or koop-record"
 class Recording:
     """N trajectories of T frames in memory.
 
-    `frames` (N, T, 64, 64) uint8; `controls` (N, T-1, p), control k acting between frames k and
-    k+1; `dt` the frame interval [s].
+    `frames` (N, T, 64, 64) uint8, or (N, T, C, H, W) float16 or float32 in `value_range`;
+    `controls` (N, T-1, p), control k acting between frames k and k+1; `dt` the frame interval [s].
     """
 
     frames: np.ndarray
@@ -33,17 +35,49 @@ class Recording:
     renderer: str
     dt: float
     seed: int
+    value_range: tuple[float, float] = UNIT
+
+    @property
+    def image_shape(self) -> tuple[int, ...]:
+        """(H, W) or (C, H, W)."""
+        return self.frames.shape[2:]
 
     def split(self, held_out: float) -> tuple[Recording, Recording]:
         """(seen, unseen): the last `held_out` share of the trajectories, one or more, is unseen."""
         count = len(self.frames)
         first = count - max(1, round(held_out * count))
         if first < 1:
-            raise ValueError(f"the recording has {count} trajectory; training needs at least 2")
+            raise ValueError(
+                f"the recording has {count} trajectory; training needs at least 2, or a preset "
+                "that holds out the end of long ones (flow)"
+            )
         return self._part(slice(0, first)), self._part(slice(first, count))
+
+    def split_in_time(self, held_out: float, length: int) -> tuple[Recording, Recording]:
+        """(seen, unseen): the last `held_out` share of every trajectory's frames is unseen.
+
+        Cut into sequences of `length` frames, one or more, that share no frame with each other.
+        """
+        total = self.frames.shape[1]
+        count = max(1, int(held_out * total / length))
+        first = total - count * length
+        if first < 2:
+            raise ValueError(
+                f"the recording has trajectories of {total} frames, of which {length} are held "
+                f"out; training needs more than {length + 1}: record longer ones"
+            )
+        ends = [self._stretch(first + i * length, length) for i in range(count)]
+        frames, controls = ([getattr(end, x) for end in ends] for x in ("frames", "controls"))
+        unseen = replace(self, frames=np.concatenate(frames), controls=np.concatenate(controls))
+        return self._stretch(0, first), unseen
 
     def _part(self, which: slice) -> Recording:
         return replace(self, frames=self.frames[which], controls=self.controls[which])
+
+    def _stretch(self, start: int, length: int) -> Recording:
+        """Frames `start` to `start + length` of every trajectory."""
+        frames = self.frames[:, start : start + length]
+        return replace(self, frames=frames, controls=self.controls[:, start : start + length - 1])
 
 
 def load_recording(path: Path) -> Recording:
@@ -51,13 +85,15 @@ def load_recording(path: Path) -> Recording:
     with _open(path) as file:
         frames, controls = _check_shapes(path, file)
         _check_memory(path, frames, controls)
+        values = _read(path, frames)
         recording = Recording(
-            frames=_read(path, frames),
+            frames=values,
             controls=_read(path, controls).astype(np.float64),
             system=_text(path, file, names.SYSTEM_ATTRIBUTE),
             renderer=_text(path, file, names.RENDERER_ATTRIBUTE),
             dt=_number(path, file, names.DT_ATTRIBUTE),
             seed=int(_number(path, file, names.SEED_ATTRIBUTE)),
+            value_range=_value_range(path, values),
         )
     if not math.isfinite(recording.dt) or recording.dt <= 0:
         raise ValueError(
@@ -114,10 +150,13 @@ def _open(path: Path) -> h5py.File:
 def _check_shapes(path: Path, file: h5py.File) -> tuple[h5py.Dataset, h5py.Dataset]:
     frames = _dataset(path, file, names.FRAMES_DATASET)
     controls = _dataset(path, file, names.CONTROLS_DATASET)
-    if frames.dtype != np.uint8 or frames.shape[2:] != (IMAGE_SIZE, IMAGE_SIZE):
+    pictures = frames.dtype == np.uint8 and frames.shape[2:] == (IMAGE_SIZE, IMAGE_SIZE)
+    fields = frames.dtype in (np.float16, np.float32) and frames.ndim == 5 and frames.size
+    if not (pictures or fields):
         raise ValueError(
-            f"{path} holds frames {frames.shape} {frames.dtype}; "
-            f"the autoencoder takes ({IMAGE_SIZE}, {IMAGE_SIZE}) uint8, N trajectories of T each"
+            f"{path} holds frames {frames.shape} {frames.dtype}; the autoencoder takes "
+            f"({IMAGE_SIZE}, {IMAGE_SIZE}) uint8, or (C, H, W) float16 or float32, "
+            "N trajectories of T each"
         )
     count, length = frames.shape[:2]
     if count < 1 or length < 2:
@@ -132,6 +171,18 @@ def _check_shapes(path: Path, file: h5py.File) -> tuple[h5py.Dataset, h5py.Datas
     if controls.dtype.kind not in "fiu":
         raise ValueError(f"{path} holds controls of type {controls.dtype}; expected float64")
     return frames, controls
+
+
+def _value_range(path: Path, frames: np.ndarray) -> tuple[float, float]:
+    """Where values may lie: UNIT for pictures, else ten times the largest in size either way."""
+    if frames.dtype == np.uint8:
+        return UNIT
+    # Frame by frame: a temporary of all of them would double the memory.
+    sizes = [max(-float(f.min()), float(f.max())) for trajectory in frames for f in trajectory]
+    largest = float(np.max(sizes))
+    if not math.isfinite(largest):
+        raise ValueError(f"{path} holds frames that are not finite; record it again without them")
+    return -_MARGIN * largest, _MARGIN * largest
 
 
 def _check_memory(path: Path, *datasets: h5py.Dataset) -> None:

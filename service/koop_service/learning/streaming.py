@@ -21,7 +21,7 @@ STRIDE = 10  # frames between two moments that are judged
 
 @dataclass(frozen=True, eq=False)
 class Encoded:
-    """One trajectory: `images` (T, H, W) float32 in [0, 1], `codes` (T, n), `controls` (T-1, p)."""
+    """One trajectory: `images` (T, ...) float32, `codes` (T, n), `controls` (T-1, p)."""
 
     images: np.ndarray
     codes: np.ndarray

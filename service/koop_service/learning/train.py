@@ -23,7 +23,7 @@ from koop_service.learning.parallel import Group
 from koop_service.learning.presets import Preset, Stage
 from koop_service.learning.recording import Recording
 from koop_service.learning.schedule import growing_horizon, learning_rate
-from koop_service.learning.windows import Windows, random_frames
+from koop_service.learning.windows import Windows, as_images, random_frames
 
 STAGES = ("autoencoder", "dynamics")
 _PATIENCE = 20  # steps in a row whose gradient is not finite, before training gives up
@@ -80,13 +80,10 @@ class _Task:
 def begin(setting: Setting, dynamics: str, warm: Autoencoder | None = None) -> Training:
     """A training that has done nothing yet; it starts at the second stage from `warm` weights.
 
-    A fresh autoencoder's output is matched to the pictures' brightness.
+    A fresh autoencoder's output is matched to the channels' means and spreads.
     """
     preset, recording = setting.preset, setting.recording
-    model = warm if warm is not None else initialised(preset.code_size, setting.seed)
-    if warm is None:
-        some = recording.frames[:: max(1, len(recording.frames) // 64), ::10] / np.float32(255)
-        model.match_output_scale(float(some.mean()), float(some.std()))
+    model = warm if warm is not None else _fresh(setting)
     model.to(setting.hardware.device, memory_format=torch.channels_last)  # pyright: ignore[reportCallIssue]
     controls = recording.controls.shape[2]
     sizes = Sizes(model.code_size, preset.history, controls)
@@ -94,6 +91,16 @@ def begin(setting: Setting, dynamics: str, warm: Autoencoder | None = None) -> T
     setting.group.agree(list(model.state_dict().values()))
     done = warm is not None and not preset.autoencoder.steps
     return Training(model, fit.to(setting.hardware.device), stage=int(done))
+
+
+def _fresh(setting: Setting) -> Autoencoder:
+    preset, recording = setting.preset, setting.recording
+    shape = recording.image_shape
+    model = initialised(preset.code_size, setting.seed, shape, preset.architecture)
+    some = recording.frames[:: max(1, len(recording.frames) // 64), ::10]
+    images = as_images(torch.from_numpy(some).flatten(0, 1))
+    model.match_output_scale(images.mean((0, 2, 3)), images.std((0, 2, 3), unbiased=False))
+    return model
 
 
 def advance(training: Training, setting: Setting) -> Iterator[Loss]:

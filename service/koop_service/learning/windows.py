@@ -11,15 +11,15 @@ from torch import Tensor, nn
 from koop_service.learning.hardware import Hardware
 from koop_service.learning.recording import Recording
 
-_IMAGES = 200  # frames that the frozen blocks see at a time
+_VALUES = 200 * 64 * 64  # of the frames that the frozen blocks see at a time
 
 
 @dataclass(frozen=True, eq=False)
 class Batch:
     """B windows of L frames.
 
-    `inputs` (B L, c, h, w) are what the trained part of the encoder sees; `images` (B, L, 64, 64)
-    uint8; `controls` (B, L-1, p) float32.
+    `inputs` (B L, c, h, w) are what the trained part of the encoder sees; `images` (B, L, ...) are
+    as recorded; `controls` (B, L-1, p) float32.
     """
 
     inputs: Tensor
@@ -28,15 +28,17 @@ class Batch:
 
 
 def random_frames(recording: Recording, count: int, rng: np.random.Generator) -> Tensor:
-    """(count, 1, 64, 64) in [0, 1]."""
+    """(count, C, H, W) as in `as_images`."""
     trajectories, length = recording.frames.shape[:2]
     which, when = rng.integers(trajectories, size=count), rng.integers(length, size=count)
     return as_images(torch.from_numpy(recording.frames[which, when]))
 
 
 def as_images(frames: Tensor) -> Tensor:
-    """(B, 1, 64, 64) in [0, 1] of uint8 frames (B, 64, 64), as the network likes them."""
-    images = frames[:, None].float().div_(255)
+    """What the network sees of frames: (B, C, H, W) of floats as they are, or (B, 1, H, W) in
+    [0, 1] of uint8 pictures (B, H, W)."""
+    pictures = frames.dtype == torch.uint8
+    images = frames[:, None].float().div_(255) if pictures else frames.float()
     return images.contiguous(memory_format=torch.channels_last)
 
 
@@ -125,12 +127,13 @@ class Windows:
 
     def _hold(self, row: int, frames: np.ndarray) -> None:
         assert self._features is not None
-        for start in range(0, len(frames), _IMAGES):
-            outputs = self._outputs(frames[start : start + _IMAGES])
-            self._features[row, start : start + _IMAGES] = outputs
+        count = max(1, _VALUES // frames[0].size)
+        for start in range(0, len(frames), count):
+            outputs = self._outputs(frames[start : start + count])
+            self._features[row, start : start + count] = outputs
 
     @torch.no_grad()
     def _outputs(self, frames: np.ndarray) -> Tensor:
-        """(B, h, w, c) of frames (B, 64, 64)."""
+        """(B, h, w, c) of frames (B, ...)."""
         images = as_images(torch.from_numpy(frames).to(self._hardware.device))
         return self._trunk(images).permute(0, 2, 3, 1)

@@ -12,6 +12,7 @@ from koop_protocol import Control, ErrorCode, Frame, ProtocolError
 from koop_protocol.checks import Image
 from koop_service.encoding.catalogue import ModelEntry
 from koop_service.encoding.image_codec import ImageCodec
+from koop_service.encoding.weights import UNIT
 from koop_service.estimation.estimator import Bank
 from koop_service.estimation.settings import EstimatorSettings
 from koop_service.estimation.stream import Admission, Stream, Transition
@@ -193,7 +194,7 @@ class Trajectory:
         return np.zeros(self.settings.control_size) if known is None else known[1]
 
     def show(self, codes: Array) -> Image:
-        """Pictures (H, ...) of codes (H, n), of the stream's own dtype."""
+        """Frames (N, H, W) or (N, C, H, W) of codes (N, n), of the stream's own dtype."""
         return self.codec.decode(codes, self.dtype)
 
     def counters(self) -> dict[str, int]:
@@ -227,20 +228,31 @@ def check_image(frame: Frame, entry: ModelEntry, codec: ImageCodec) -> None:
             f"the image has shape {frame.image.shape}",
             f"{tuple(codec.image_shape)}, as the model {entry.name!r} takes",
         )
-    check_range(frame.image, ErrorCode.malformed, "image")
+    check_values(frame.image, codec, ErrorCode.malformed, "image")
 
 
-def check_range(image: NDArray[np.generic], code: str, field_name: str) -> None:
-    """ProtocolError unless a picture of floats is within [0, 1]."""
+def check_values(image: NDArray[np.generic], codec: ImageCodec, code: str, field_name: str) -> None:
+    """ProtocolError unless the values are in the model's range; uint8 is for [0, 1] alone."""
+    (lowest, highest), pictures = codec.value_range, codec.value_range == UNIT
     if image.dtype == np.uint8:
-        return
+        if pictures:
+            return
+        raise ProtocolError(
+            ErrorCode.wrong_dtype,
+            f"{field_name} has dtype uint8",
+            f"float16 or float32 in [{lowest:g}, {highest:g}]",
+            "normalise its channels as the model's recording did",
+            {"field": field_name},
+        )
     low, high = float(image.min()), float(image.max())
-    if low < 0.0 or high > 1.0:
+    if not lowest <= low <= high <= highest:
         raise ProtocolError(
             code,
             f"{field_name} has values from {low:g} to {high:g}",
-            "floats in [0, 1]",
-            "divide by 255, or send uint8",
+            f"floats in [{lowest:g}, {highest:g}]",
+            "divide by 255, or send uint8"
+            if pictures
+            else "normalise its channels as the model's recording did",
             {"field": field_name},
         )
 

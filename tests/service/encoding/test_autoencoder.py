@@ -5,17 +5,24 @@ import pytest
 import torch
 from torch import nn
 
-from koop_service.encoding.autoencoder import initialised
+from koop_service.encoding.architecture import FLOW, PAPER, Architecture
+from koop_service.encoding.autoencoder import channels_first, initialised
 from koop_service.encoding.folding import fold
 from koop_service.encoding.image_codec import ImageCodec
 from koop_service.encoding.weights import ModelCard
 
 CARD = ModelCard(system="test", renderer="none", dt=0.05)
 
+# A field of four channels, as small as the flow's architecture takes.
+FIELD = (4, 64, 128)
+FIELD_CARD = ModelCard(
+    "test", "none", 0.15, image_shape=FIELD, value_range=(-20.0, 20.0), architecture=FLOW
+)
 
-def lived_in(seed: int):
+
+def lived_in(seed: int, shape: tuple[int, ...] = (64, 64), architecture: Architecture = PAPER):
     """A model whose normalisations have seen data: every scale, also a negative one."""
-    model = initialised(8, seed).eval()
+    model = initialised(8, seed, shape, architecture).eval()
     generator = torch.Generator().manual_seed(seed)
     for module in model.modules():
         if isinstance(module, nn.BatchNorm2d):
@@ -46,11 +53,15 @@ def test_a_seed_names_the_parameters():
     assert not all(torch.equal(one[name], other[name]) for name in one)
 
 
+@pytest.mark.parametrize(
+    ("shape", "architecture"), [((64, 64), PAPER), (FIELD, FLOW), ((2, 32, 96), Architecture((8,)))]
+)
 @pytest.mark.parametrize("seed", [0, 1, 2])
-def test_folding_keeps_the_function(seed):
-    model = lived_in(seed)
+def test_folding_keeps_the_function(seed, shape, architecture):
+    model = lived_in(seed, shape, architecture)
     encoder, decoder = fold(model)
-    images = torch.rand(5, 1, 64, 64)
+    images = torch.rand(5, *channels_first(shape))
+    assert model.decode(model.encode(images)).shape == images.shape
     codes = model.encode(images)
     torch.testing.assert_close(encoder(images).flatten(1), codes, rtol=1e-4, atol=1e-5)
     torch.testing.assert_close(
@@ -85,3 +96,63 @@ def test_decoded_pictures_stay_in_range():
     assert floats.min() >= 0
     assert floats.max() <= 1
     np.testing.assert_allclose(bytes_ / 255, floats, atol=0.5 / 255 + 1e-6)
+
+
+def fields(count: int, seed: int = 0) -> np.ndarray:
+    return np.random.default_rng(seed).normal(size=(count, *FIELD)).astype(np.float16)
+
+
+@pytest.mark.parametrize(("code_size", "count"), [(8, 327_620), (32, 340_748)])
+def test_the_flows_parameter_count(code_size, count):
+    model = initialised(code_size, 0, (4, 128, 256), FLOW)
+    assert sum(p.numel() for p in model.parameters()) == count
+
+
+def test_sides_that_cannot_be_halved_are_told():
+    with pytest.raises(ValueError, match=r"100 x 256 cannot be halved 6 times; .*multiples of 64"):
+        initialised(8, 0, (4, 100, 256), FLOW)
+
+
+@pytest.mark.parametrize("wrong", [{"channels": ()}, {"channels": (0,)}, {"overlap": 1}])
+def test_an_architecture_that_cannot_be_built(wrong):
+    with pytest.raises(ValueError, match="cannot be built; expected channels"):
+        Architecture(**wrong)
+
+
+def test_overlap_lets_neighbouring_pixels_share_what_they_are_drawn_from():
+    """A change of one innermost feature is seen beyond the patch that it is alone to draw."""
+    for architecture, alone in (
+        (Architecture((4,), overlap=0), True),
+        (Architecture((4,), 2), False),
+    ):
+        model = initialised(4, 0, (8, 8), architecture).eval()
+        outer, features = model.decoder[-1], torch.zeros(1, 4, 4, 4)
+        changed = features.clone()
+        changed[..., 1, 1] = 1.0
+        difference = (outer(changed) - outer(features)).detach()[0, 0] != 0
+        difference[2:4, 2:4] = False
+        assert bool(difference.any()) != alone
+
+
+def test_a_fields_code_does_not_depend_on_the_batch_it_rode_in():
+    codec = ImageCodec(lived_in(3, FIELD, FLOW), FIELD_CARD)
+    together = codec.encode(fields(9))
+    for size in (1, 2, 4):
+        parts = [codec.encode(fields(9)[i : i + size]) for i in range(0, 9, size)]
+        assert np.array_equal(np.concatenate(parts), together), f"batches of {size}"
+
+
+def test_fields_are_encoded_as_they_are():
+    model = lived_in(4, FIELD, FLOW)
+    codec = ImageCodec(model, FIELD_CARD)
+    expected = model.encode(torch.from_numpy(fields(2)).float()).detach().numpy()
+    np.testing.assert_allclose(codec.encode(fields(2)), expected, rtol=1e-3, atol=1e-4)
+    assert np.array_equal(codec.encode(fields(2)), codec.encode(fields(2).astype(np.float32)))
+
+
+@pytest.mark.parametrize("dtype", [np.float16, np.float32])
+def test_decoded_fields_keep_their_type_and_stay_in_their_range(dtype):
+    codec = ImageCodec(lived_in(5, FIELD, FLOW), FIELD_CARD)
+    shown = codec.decode(1e6 * np.random.default_rng(0).normal(size=(3, 8)), dtype)
+    assert (shown.shape, shown.dtype) == ((3, *FIELD), dtype)
+    assert (shown.min(), shown.max()) == (-20.0, 20.0)

@@ -7,6 +7,7 @@ import pytest
 import torch
 from safetensors.torch import save_file
 
+from koop_service.encoding.architecture import FLOW, PAPER
 from koop_service.encoding.autoencoder import initialised
 from koop_service.encoding.catalogue import Catalogue, ModelEntry
 from koop_service.encoding.weights import (
@@ -39,6 +40,43 @@ def test_round_trip(saved):
     assert card == CARD
     fresh = initialised(8, 0).state_dict()
     assert all(torch.equal(tensor, fresh[name]) for name, tensor in model.state_dict().items())
+
+
+def test_round_trip_of_a_model_of_fields(tmp_path):
+    shape = (4, 64, 128)
+    card = dataclasses.replace(
+        CARD, code_size=6, image_shape=shape, value_range=(-35.5, 35.5), architecture=FLOW
+    )
+    path = tmp_path / "flow.safetensors"
+    save_weights(path, initialised(6, 0, shape, FLOW), card)
+    model, found = load_weights(path)
+    assert found == card
+    assert model.decode(model.encode(torch.zeros(2, *shape))).shape == (2, *shape)
+
+
+def test_a_card_from_before_there_were_fields_is_of_the_papers_network(tmp_path):
+    path = tmp_path / "old.safetensors"
+    save_file({"x": torch.zeros(1)}, path, _metadata(_card_fields()))
+    card = load_card(path)
+    assert (card.architecture, card.value_range) == (PAPER, (0.0, 1.0))
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"image_shape": [64]},
+        {"image_shape": [100, 64]},
+        {"architecture": {"channels": [16], "overlap": 3}},
+        {"architecture": {"layers": 3}},
+        {"value_range": [1.0, 0.0]},
+        {"value_range": [0.0, float("inf")]},
+    ],
+)
+def test_a_card_of_a_network_that_cannot_be_built(tmp_path, wrong):
+    path = tmp_path / "wrong.safetensors"
+    save_file({"x": torch.zeros(1)}, path, _metadata({**_card_fields(), **wrong}))
+    with pytest.raises(ValueError, match="model card that cannot be read"):
+        load_card(path)
 
 
 def test_a_file_that_is_no_safetensors(tmp_path):

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from koop_protocol import ErrorCode, LqrQuery, ProtocolError
-from koop_service.serving.trajectories import Trajectory, check_range
+from koop_service.serving.trajectories import Trajectory, check_values
 
 Array = NDArray[np.float64]
 
@@ -131,7 +131,7 @@ def _check_known(trajectory: Trajectory, query: LqrQuery) -> None:
 
 
 def _pictures(trajectory: Trajectory, image: NDArray[np.generic]) -> NDArray[np.generic]:
-    """The target as a batch of pictures (K, H, W) that the encoder takes."""
+    """The target as a batch of frames (K, H, W) or (K, C, H, W) that the encoder takes."""
     shape = tuple(trajectory.codec.image_shape)
     if image.shape != shape and image.shape[1:] != shape:
         raise ProtocolError(
@@ -140,13 +140,13 @@ def _pictures(trajectory: Trajectory, image: NDArray[np.generic]) -> NDArray[np.
             f"{shape}, as the model {trajectory.entry.name!r} takes, or several of them",
             details={"field": "target_image"},
         )
-    check_range(image, ErrorCode.bad_target, "target_image")
+    check_values(image, trajectory.codec, ErrorCode.bad_target, "target_image")
     return image.reshape(-1, *shape)
 
 
 def _worst_error(pictures: NDArray[np.generic], shown: NDArray[np.generic]) -> float:
     difference = shown.astype(np.float64) - pictures.astype(np.float64)
-    return float(np.sqrt(np.mean(difference**2, axis=(1, 2))).max())
+    return float(np.sqrt(np.mean(difference**2, axis=tuple(range(1, pictures.ndim)))).max())
 
 
 def _why_unlike(trajectory: Trajectory, error: float, dtype: np.dtype) -> str:
