@@ -72,8 +72,8 @@ class Preset:
     blocks are not trained with the dynamics: their outputs are computed once and kept, as many as
     fit `memory` [bytes] together with the frames.
 
-    The last `held_out` share is never trained on: of the trajectories or, where `segment` is given,
-    of every trajectory's frames, cut into sequences of so many.
+    The share `held_out` is never trained on: the last trajectories or, where `segment` is given,
+    sequences of so many frames out of every trajectory.
     """
 
     autoencoder: Stage

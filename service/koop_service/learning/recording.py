@@ -49,35 +49,44 @@ class Recording:
         if first < 1:
             raise ValueError(
                 f"the recording has {count} trajectory; training needs at least 2, or a preset "
-                "that holds out the end of long ones (flow)"
+                "that holds out sequences of long ones (flow)"
             )
         return self._part(slice(0, first)), self._part(slice(first, count))
 
     def split_in_time(self, held_out: float, length: int) -> tuple[Recording, Recording]:
-        """(seen, unseen): the last `held_out` share of every trajectory's frames is unseen.
+        """(seen, unseen) of long trajectories: sequences of `length` frames, a `held_out` share.
 
-        Cut into sequences of `length` frames, one or more, that share no frame with each other.
+        Each trajectory is cut into equal stretches, of which the last `length` frames are unseen:
+        they share no frame with what is seen, and come from all of a schedule, not from its end.
         """
         total = self.frames.shape[1]
-        count = max(1, int(held_out * total / length))
-        first = total - count * length
-        if first < 2:
+        stretch = total // max(1, int(held_out * total / length))
+        if stretch < length + 2:
             raise ValueError(
                 f"the recording has trajectories of {total} frames, of which {length} are held "
                 f"out; training needs more than {length + 1}: record longer ones"
             )
-        ends = [self._stretch(first + i * length, length) for i in range(count)]
-        frames, controls = ([getattr(end, x) for end in ends] for x in ("frames", "controls"))
-        unseen = replace(self, frames=np.concatenate(frames), controls=np.concatenate(controls))
-        return self._stretch(0, first), unseen
+        cut = self._cut(stretch)
+        return cut._stretch(0, stretch - length), cut._stretch(stretch - length, stretch)
 
     def _part(self, which: slice) -> Recording:
         return replace(self, frames=self.frames[which], controls=self.controls[which])
 
-    def _stretch(self, start: int, length: int) -> Recording:
-        """Frames `start` to `start + length` of every trajectory."""
-        frames = self.frames[:, start : start + length]
-        return replace(self, frames=frames, controls=self.controls[:, start : start + length - 1])
+    def _cut(self, length: int) -> Recording:
+        """Every trajectory as several of `length` frames; a rest is left out."""
+        count = self.frames.shape[1] // length
+        # The control between two pieces belongs to neither; a last one makes all pieces equal.
+        controls = np.concatenate([self.controls, np.zeros_like(self.controls[:, :1])], axis=1)
+        frames, controls = (
+            values[:, : count * length].reshape(-1, length, *values.shape[2:])
+            for values in (self.frames, controls)
+        )
+        return replace(self, frames=frames, controls=controls[:, :-1])
+
+    def _stretch(self, first: int, end: int) -> Recording:
+        """Frames from `first` to before `end` of every trajectory."""
+        frames, controls = self.frames[:, first:end], self.controls[:, first : end - 1]
+        return replace(self, frames=frames, controls=controls)
 
 
 def load_recording(path: Path) -> Recording:
