@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import platform
 import sys
 from dataclasses import dataclass
 
@@ -41,7 +42,7 @@ def tune_allocator() -> None:
     at the same speed. The caches for threads can only be turned off before a program starts.
     """
     before = os.environ.get("GLIBC_TUNABLES", "")
-    if sys.platform == "linux" and _TUNABLES not in before:
+    if platform.libc_ver()[0] == "glibc" and _TUNABLES not in before:
         os.environ["GLIBC_TUNABLES"] = ":".join(part for part in (before, _TUNABLES) if part)
         os.execv(sys.executable, [sys.executable, *sys.orig_argv[1:]])
 
