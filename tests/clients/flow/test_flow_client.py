@@ -98,7 +98,12 @@ def test_rotations_are_streamed_between_the_frames(
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        (("cylinder", "--drive", "mpc"), "no drive knows the cylinder"),
+        (("cylinder", "--drive", "pd"), "none, excite, mpc, lqr or feedback for the cylinder"),
+        (("cylinder", "--target", "hang"), "the cylinder's wake is brought to the steady flow"),
+        (("cylinder", "--record", "a.npz"), "--record of the cylinder keeps a drive; add --drive"),
+        (("cylinder", "--drive", "mpc", "--rotation-bound", "2"), "above 0, up to 1.27"),
+        (("pendulum", "--rotation-bound", "1"), "only the cylinder stands in a flow"),
+        (("pendulum", "--drive", "feedback"), "--drive is feedback; expected another one"),
         (("cylinder", "--mass", "2"), "--mass is 2.0; expected nothing"),
         (("cylinder", "--strip", "a.png"), "--strip is a.png; expected nothing"),
         (("pendulum", "--reynolds", "60"), "only the cylinder stands in a flow"),
@@ -114,7 +119,7 @@ def test_what_makes_no_sense_is_refused(
     assert words in " ".join(lines)
 
 
-def test_the_first_run_tells_that_the_wake_develops(
+def test_the_first_run_tells_that_the_flow_develops(
     seen: list[Frame | Control],
     command: Callable,
     monkeypatch: pytest.MonkeyPatch,
@@ -124,4 +129,4 @@ def test_the_first_run_tells_that_the_wake_develops(
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.mktemp("empty")))
     for expected in (True, False):
         _, err = command("--system", "cylinder", "--duration", "0.3")
-        assert ("the wake develops" in err) == expected
+        assert ("the flow develops" in err) == expected
