@@ -45,6 +45,10 @@ class FlowPlant:
         """How the law would turn the cylinder now [U/D]."""
         return self._law(self.number, self.probe)
 
+    def look_ahead(self, frames: int) -> np.ndarray:
+        """Rotations [U/D] of the next intervals, (frames,), by a law that looks at no velocity."""
+        return np.array([self._law(self.number + k, 0.0) for k in range(frames)])
+
     def turn(self, turns: Sequence[Turn]) -> float:
         """Go to the next frame by `turns`, which fill one; their mean rotation [U/D].
 

@@ -173,7 +173,11 @@ def parse_arguments(arguments: list[str] | None = None) -> Arguments:
     return parse(default=_FLOW) if _asks_for_the_cylinder(arguments) else parse()
 
 
-_FLOW = Arguments("cylinder", driving=DriveOptions(learn=24.0, horizon=16, r=1e-2))
+_FLOW = Arguments(
+    "cylinder",
+    driving=DriveOptions(learn=24.0, horizon=16, r=1e-2),
+    prediction=PredictionOptions(ahead=10, ask_every=1.5),
+)
 
 
 def _asks_for_the_cylinder(arguments: list[str] | None) -> bool:

@@ -137,9 +137,9 @@ class PredictionOptions:
     """Predictions asked for while the service learns."""
 
     ahead: int = 20
-    """Frames that predictions look ahead."""
+    """Frames that predictions look ahead; 10 of the cylinder."""
     ask_every: float = 0.1
-    """Simulated time between two predictions [s]."""
+    """Simulated time between two predictions [s]; 1.5 of the cylinder."""
 
     def __post_init__(self) -> None:
         require(self.ahead >= 1, "ahead", self.ahead, "at least 1")

@@ -15,7 +15,16 @@ from koop_clients.flow.forcing import schedule
 from koop_clients.flow.plant import starting
 from koop_clients.sim_client.arguments import parse_arguments
 from koop_clients.sim_client.options import FlowOptions
-from koop_protocol import Control, ErrorReply, Frame, decode, encode
+from koop_protocol import (
+    Control,
+    ErrorReply,
+    Frame,
+    PredictQuery,
+    PredictReply,
+    decode,
+    decode_as,
+    encode,
+)
 
 
 @pytest.fixture(autouse=True)
@@ -93,6 +102,40 @@ def test_rotations_are_streamed_between_the_frames(
             if control is not None:
                 assert control.u.tolist() == [turn(control.seq, 0.0)]
                 state = small.frame(state, control.u[0])
+
+
+def test_predictions_are_asked_for_and_judged(
+    small: CylinderFlow, hub: zenoh.Session, seen: list[Frame | Control], command: Callable
+) -> None:
+    """A service that simulates the flow itself is never wrong: but for half precision."""
+    asked: list[PredictQuery] = []
+
+    def foresee(query: zenoh.Query) -> None:
+        with query:
+            asked.append(decode_as(PredictQuery, bytes(query.payload or b"")))
+            last = of_kind(seen, Frame)[-1]
+            state = starting(small, (0, 0))
+            turns = [message.u[0] for message in of_kind(seen, Control)]
+            for turn in turns:
+                state = small.frame(state, turn)
+            frames = []
+            for (turn,) in asked[-1].controls:
+                state = small.frame(state, turn)
+                frames.append(small.picture(state))
+            reply = PredictReply(last.trajectory, last.epoch, last.seq, frames=np.stack(frames))
+            query.reply(query.key_expr, encode(reply))
+
+    declared = hub.declare_queryable("koop/predict/**", foresee)
+    options = ("--system", "cylinder", "--actuated", "--duration", "6")
+    result = json.loads(command(*options, "--json")[0])
+    assert [query.horizon for query in asked] == [10] * 4
+    assert result["early"]["count"] == 3
+    assert result["early"]["horizons"] == [1, 2, 5, 10]
+    assert result["early"]["error"] == [0.0] * 4
+    assert min(result["early"]["repeat"]) > 0.01
+    assert result["predict"]["count"] == 4
+    assert "RMSE per value after" in command(*options)[0]
+    declared.undeclare()
 
 
 @pytest.mark.parametrize(

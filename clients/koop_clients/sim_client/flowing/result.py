@@ -5,9 +5,11 @@ from __future__ import annotations
 import json
 from dataclasses import asdict, dataclass
 
+from koop_clients.flow.settings import FRAME_INTERVAL
 from koop_clients.sim_client.flowing.drive import FlowDrive
 from koop_clients.sim_client.flowing.outcome import CALM, FlowOutcome
-from koop_clients.sim_client.report import Latency, latency
+from koop_clients.sim_client.report import Latency, error_lines, latency
+from koop_clients.sim_client.scoring import Errors
 
 
 @dataclass(frozen=True)
@@ -59,6 +61,9 @@ class FlowResult:
         simulated: time simulated [s], 0.15 s a frame.
         elapsed: time on the wall [s].
         frame: what a frame took to simulate [s].
+        early: errors of the first predictions answered, in units of the channels' natural spread.
+        late: errors of the last ones.
+        predict: round trips of predictions.
         swing: largest |v| behind the cylinder in the last 20 frames of the first flow [U].
         drives: what became of each flow that was to be driven.
         completed: False where it was stopped before its time.
@@ -71,6 +76,9 @@ class FlowResult:
     simulated: float
     elapsed: float
     frame: Latency | None
+    early: Errors | None
+    late: Errors | None
+    predict: Latency | None
     swing: float
     drives: list[FlowDriven]
     completed: bool
@@ -101,6 +109,10 @@ class FlowResult:
         ]
         if self.frame is not None:
             lines.append(f"a frame took {_quantiles(self.frame)} to simulate")
+        rows = {"first predictions": self.early, "last predictions": self.late}
+        lines += error_lines("RMSE per value after ", rows, FRAME_INTERVAL)
+        if self.predict is not None:
+            lines.append(f"\nround trip of a prediction: {_quantiles(self.predict)}")
         for drive in self.drives:
             lines += _drive_lines(drive)
         return "\n".join(lines)

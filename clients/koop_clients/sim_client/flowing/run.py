@@ -15,8 +15,10 @@ from koop_clients.flow.cylinder import RENDERER, CylinderFlow
 from koop_clients.flow.forcing import law
 from koop_clients.flow.plant import FlowPlant, starting
 from koop_clients.flow.settings import FlowSettings
+from koop_clients.queries import KoopClient
 from koop_clients.sim_client.arguments import Arguments
 from koop_clients.sim_client.display import Display, usual
+from koop_clients.sim_client.flowing.forecasts import FlowForecasts
 from koop_clients.sim_client.flowing.phase import FlowDriving
 from koop_clients.sim_client.flowing.record import FlowRecord
 from koop_clients.sim_client.flowing.result import FlowResult, driven
@@ -39,6 +41,7 @@ class FlowRun:
         self._arguments = arguments
         self._display = display
         self._flow = CylinderFlow(settings)
+        self._forecasts = FlowForecasts(arguments, KoopClient(session))
         self._driving = FlowDriving(arguments, self._flow, session, self._spun_up)
         self._streams = [self._stream(session, i) for i in range(arguments.trajectories)]
         self._took: deque[float] = deque(maxlen=_KEPT)
@@ -46,7 +49,10 @@ class FlowRun:
         self._frames, self._elapsed, self._completed = 0, 0.0, False
 
     def run(self, stop: Stop) -> None:
-        """Stream until the duration is over or `stop` says so. Raises DivergedError."""
+        """Stream until the duration is over or `stop` says so.
+
+        Raises DivergedError, and KoopError where the service cannot serve this stream.
+        """
         started = time.monotonic()
         try:
             self._rounds(stop)
@@ -57,7 +63,8 @@ class FlowRun:
         self._completed = not stop
 
     def result(self) -> FlowResult:
-        """What was streamed so far."""
+        """What was found so far."""
+        early, late = self._forecasts.errors()
         return FlowResult(
             system=self._arguments.system,
             drive=self._arguments.drive,
@@ -66,6 +73,9 @@ class FlowRun:
             simulated=self._streams[0].plant.number * self._arguments.interval,
             elapsed=self._elapsed,
             frame=latency(self._took),
+            early=early,
+            late=late,
+            predict=latency(self._forecasts.asker.latencies),
             swing=max(self._swings, default=0.0),
             drives=[driven(drive) for drive in self._driving.drives],
             completed=self._completed,
@@ -110,8 +120,10 @@ class FlowRun:
             started = time.perf_counter()
             stream.advance()
             self._took.append(time.perf_counter() - started)
-        stream.show()
+        picture = stream.show()
         self._frames += 1
+        if stream is self._streams[0]:
+            self._forecasts.shown(stream, picture)
 
     def _tell(self, number: int) -> None:
         first = self._streams[0]
@@ -120,7 +132,7 @@ class FlowRun:
         if self._display.due(_HEADING):
             time_shown = number * self._arguments.interval
             taken = "" if not self._took else f"{1000 * usual(self._took):.0f} ms"
-            taken = self._driving.standing or taken
+            taken = self._driving.standing or self._forecasts.asker.standing or taken
             self._display.row(
                 _HEADING,
                 f"{time_shown:6.1f} s {self._frames:7d} {first.rotation:+9.3f} U/D "
