@@ -96,6 +96,13 @@ class Commanded:
         self._count(controller, number)
         self._check_alive(controller)
 
+    def await_command(self, number: int) -> None:
+        """Wait for frame `number`'s command, until the interval after the frame is over."""
+        put, controller = self._put.get(number), self._controller
+        if number in self._awaited and put is not None and controller is not None:
+            left = put + self._timing.wall_interval - time.monotonic()
+            controller.wait(number, max(0.0, left))
+
     def speaks(self, number: int) -> bool:
         """Whether there is a plan for that interval as it begins."""
         return self._row(number, 0) is not None

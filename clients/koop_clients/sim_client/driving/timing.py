@@ -29,6 +29,11 @@ class Timing:
         """Whether simulated time stands still until the service has answered."""
         return math.isinf(self.speed)
 
+    @property
+    def wall_interval(self) -> float:
+        """From one frame to the next on the wall [s]; 0 where simulated time waits."""
+        return self.interval / self.speed
+
     def age(self, lag: float) -> float:
         """How old a frame is [s simulated] when its command comes, `lag` [s] after it was put."""
         return self.camera + (0.0 if self.waits else lag * self.speed)

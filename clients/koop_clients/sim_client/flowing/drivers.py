@@ -85,6 +85,15 @@ class Reference:
 class Obeying(Commanded):
     """A driver that obeys the service's commands from the moment at which each comes."""
 
+    def settle(self, number: int) -> None:
+        """Let the interval after frame `number` end, and take in what came during it.
+
+        Where simulating takes longer than a frame's interval the next frame is due at once, and the
+        command would have had no time at all. Raises as Commanded's.
+        """
+        self.await_command(number)
+        super().settle(number)
+
     def turns(self, plant: FlowPlant) -> list[Turn]:
         """A rotation for each part of the interval, equal neighbours in one."""
         steps, number = plant.flow.settings.frame_steps, plant.number
