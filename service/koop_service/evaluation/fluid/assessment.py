@@ -15,7 +15,7 @@ from koop_service.encoding.weights import ModelCard
 from koop_service.evaluation.assessment import check_fit
 from koop_service.evaluation.fluid.cases import FIT_FRAMES, Case, apart
 from koop_service.evaluation.fluid.errors import Errors, compare, joined, stacked
-from koop_service.evaluation.fluid.methods import Method, ours, theirs
+from koop_service.evaluation.fluid.methods import Known, Method, ours, theirs
 from koop_service.evaluation.fluid.sequences import Sequences, Units
 from koop_service.evaluation.fluid.trivial import guesses
 from koop_service.evaluation.forecasts import Array, forecast
@@ -71,9 +71,8 @@ def assess(case: Case, trained: Trained, sequences: Sequences) -> Judged:
     """Judge every method. Raises ValueError where data and weights do not fit."""
     check_fit(trained.codec, sequences.test)
     codec, recording = trained.codec, sequences.test.recording
-    settings = codec.card.estimator.settings(codec.code_size, recording.controls.shape[2])
     measured = _Measured.by(codec, sequences)
-    predictions = {method.name: measured.predict(method) for method in ours(settings)}
+    predictions = {method.name: measured.predict(method) for method in ours(measured.known)}
     errors = {"reconstruction": measured.errors}
     errors |= {name: measured.judge(codes) for name, codes in predictions.items()}
     errors |= _of_baseline(trained, sequences)
@@ -93,23 +92,25 @@ def assess(case: Case, trained: Trained, sequences: Sequences) -> Judged:
 
 @dataclass(frozen=True, eq=False)
 class _Measured:
-    """A codec's codes (N, T, n) of all frames, and the errors of what they decode to."""
+    """What a codec knows of the sequences, and the errors (N, T) of what its codes decode to."""
 
     codec: ImageCodec
     sequences: Sequences
-    codes: Array
+    known: Known
     errors: Errors
 
     @classmethod
     def by(cls, codec: ImageCodec, sequences: Sequences) -> _Measured:
         """Sequences overlap, so each frame of the trajectory is encoded once."""
         codes, errors = zip(*_encoded(codec, sequences), strict=True)
-        own = joined(errors, 0)
-        return cls(codec, sequences, sequences.cut(np.concatenate(codes)), own.on(sequences.cut))
+        controls = sequences.controls
+        settings = codec.card.estimator.settings(codec.code_size, controls.shape[2])
+        known = Known(settings, sequences.cut(np.concatenate(codes)), controls)
+        return cls(codec, sequences, known, joined(errors, 0).on(sequences.cut))
 
     def predict(self, method: Method) -> Array:
         """(N, T, n)."""
-        return forecast(method.models, method.schedule, self.codes, self.sequences.controls)
+        return forecast(method.models, method.schedule, self.known.codes, self.known.controls)
 
     def judge(self, predicted: Array) -> Errors:
         """Errors of predicted codes (N, T, n); in the fit frames they are the measured ones."""
@@ -129,11 +130,9 @@ def _encoded(codec: ImageCodec, sequences: Sequences) -> Iterator[tuple[Array, E
 def _of_baseline(trained: Trained, sequences: Sequences) -> dict[str, Errors]:
     if trained.baseline is None:
         return {}
-    codec, learned = trained.baseline.codec, trained.baseline.learned
-    controls = sequences.test.recording.controls.shape[2]
-    settings = codec.card.estimator.settings(codec.code_size, controls)
-    measured = _Measured.by(codec, sequences)
-    return {m.name: measured.judge(measured.predict(m)) for m in theirs(learned, settings)}
+    measured = _Measured.by(trained.baseline.codec, sequences)
+    methods = theirs(trained.baseline.learned, measured.known)
+    return {method.name: measured.judge(measured.predict(method)) for method in methods}
 
 
 def _of_guesses(sequences: Sequences, own: Errors, periodic: bool) -> dict[str, Errors]:

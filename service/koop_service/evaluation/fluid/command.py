@@ -14,7 +14,15 @@ import tyro
 
 from koop_service.evaluation.datasets import made
 from koop_service.evaluation.fluid.assessment import Judged, assess
-from koop_service.evaluation.fluid.cases import HELD_OUT, SEQUENCES, Case, Wake, cases, chosen
+from koop_service.evaluation.fluid.cases import (
+    HELD_OUT,
+    SEQUENCES,
+    TRAINED,
+    Case,
+    Wake,
+    cases,
+    chosen,
+)
 from koop_service.evaluation.fluid.curves import draw_curves, draw_held_out
 from koop_service.evaluation.fluid.report import Report
 from koop_service.evaluation.fluid.sequences import load_sequences
@@ -50,6 +58,13 @@ class Fluid(TestSetOptions):
     """Test sequences of each system."""
     held_out: tuple[float, ...] = HELD_OUT
     """Reynolds numbers that training has not seen, to be judged too."""
+
+    def check(self) -> None:
+        super().check()
+        if TRAINED in self.held_out:
+            raise ValueError(
+                f"--held-out {TRAINED:g} is the Reynolds number that was trained on; give others"
+            )
 
 
 def run(arguments: Fluid) -> None:

@@ -12,6 +12,7 @@ from matplotlib.figure import Figure
 from koop_service.evaluation.fluid.assessment import Judged
 from koop_service.evaluation.fluid.cases import FIT_FRAMES, UPDATE_AT
 from koop_service.evaluation.fluid.table import OVERLAPPING, Results, by_reynolds
+from koop_service.evaluation.forecasts import Array
 from koop_service.evaluation.metrics import PERCENTILES
 from koop_service.evaluation.theme import DPI, LOOKS, QUIET, TEXT, name_line, spread_labels, styled
 
@@ -20,6 +21,7 @@ _GUESSES = ("repeat-last", "repeat-period", "period-ago")
 _ALL = (*OURS, "learned-A", "learned-B", *_GUESSES)
 _FEW = (*OURS, "learned-A", "learned-B", "repeat-last")
 _UNIT = "L1 [standard deviations of a channel]"
+_FLOOR = 1e-4  # what half precision resolves; a guess of a steady flow can be exact
 _ROOM = 1.25  # factor beyond the lowest and the highest line
 _LABEL_GAP = 0.055  # of the panel's height
 _LATE = 9  # frames at the end whose mean places a line's name: a shedding period
@@ -68,9 +70,13 @@ def _flow(judged: Judged) -> str:
 
 def _scale(axes: Axes, all_of: Sequence[Judged], methods: Sequence[str]) -> None:
     """A logarithmic one that holds every line after the fit."""
-    curves = [judged.curve(method)[FIT_FRAMES:] for judged in all_of for method in methods]
+    curves = [_curve(judged, method)[FIT_FRAMES:] for judged in all_of for method in methods]
     axes.set_yscale("log")
     axes.set_ylim(np.min(curves) / _ROOM, np.max(curves) * _ROOM)
+
+
+def _curve(judged: Judged, method: str) -> Array:
+    return np.maximum(judged.curve(method), _FLOOR)
 
 
 def _draw(axes: Axes, judged: Judged, methods: Sequence[str]) -> None:
@@ -82,7 +88,7 @@ def _draw(axes: Axes, judged: Judged, methods: Sequence[str]) -> None:
             low, _, high = np.percentile(judged.l1(method), PERCENTILES, axis=0)
             axes.fill_between(times, low, high, color=colour, alpha=0.11, lw=0)
         width, dashes = (1.0, (0, (3, 2))) if guess else (1.5, "-")
-        curve = judged.curve(method)
+        curve = _curve(judged, method)
         axes.plot(times[known], curve[known], color=colour, lw=width, ls=dashes, zorder=3)
     for frames, name in ((FIT_FRAMES, "fit "), (UPDATE_AT, "update ")):
         _mark(axes, (frames - 1) * judged.dt, name)
@@ -92,7 +98,7 @@ def _draw(axes: Axes, judged: Judged, methods: Sequence[str]) -> None:
 
 def _name_lines(axes: Axes, judged: Judged, methods: Sequence[str]) -> None:
     low, high = np.log10(axes.get_ylim())
-    ends = [float(np.log10(judged.curve(method)[-_LATE:].mean())) for method in methods]
+    ends = [float(np.log10(_curve(judged, method)[-_LATE:].mean())) for method in methods]
     right = axes.get_xlim()[1]
     for method, height in zip(methods, spread_labels(ends, _LABEL_GAP * (high - low)), strict=True):
         name_line(axes, right, 10**height, LOOKS[method].label, LOOKS[method].colour)

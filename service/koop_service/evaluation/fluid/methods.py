@@ -13,7 +13,8 @@ from functools import partial
 from koop_service.estimation.settings import EstimatorSettings
 from koop_service.evaluation.fits import Constant, ConstantControl, Proximal
 from koop_service.evaluation.fluid.cases import FIT_FRAMES, UPDATE_AT
-from koop_service.evaluation.forecasts import Models, Schedule
+from koop_service.evaluation.forecasts import Array, Models, Schedule
+from koop_service.evaluation.selection import with_offline_rho
 from koop_service.learning.dynamics import LearnedDynamics
 
 REGIMES = {
@@ -32,18 +33,28 @@ class Method:
     schedule: Schedule
 
 
-def ours(settings: EstimatorSettings) -> Iterator[Method]:
+@dataclass(frozen=True, eq=False)
+class Known:
+    """A model's estimator settings, codes (N, T, n) and controls (N, T-1, p)."""
+
+    settings: EstimatorSettings
+    codes: Array
+    controls: Array
+
+
+def ours(known: Known) -> Iterator[Method]:
     """The fit under each regime."""
-    for regime, models, schedule in _regimes(Proximal, settings):
+    for regime, models, schedule in _regimes(Proximal, known):
         yield Method(regime, models, schedule)
 
 
-def theirs(learned: LearnedDynamics, settings: EstimatorSettings) -> Iterator[Method]:
+def theirs(learned: LearnedDynamics, known: Known) -> Iterator[Method]:
     """[17], which no update can change; or [6] under each regime."""
     if learned.kind == "learned-A":
-        yield Method(learned.kind, Constant(learned.matrix, settings), REGIMES["offline"])
+        models = Constant(learned.matrix, known.settings)
+        yield Method(learned.kind, models, REGIMES["offline"])
         return
-    for regime, models, schedule in _regimes(partial(ConstantControl, learned.matrix), settings):
+    for regime, models, schedule in _regimes(partial(ConstantControl, learned.matrix), known):
         yield Method(named(learned.kind, regime), models, schedule)
 
 
@@ -53,10 +64,11 @@ def named(kind: str, regime: str) -> str:
 
 
 def _regimes(
-    fit: Callable[[EstimatorSettings], Models], settings: EstimatorSettings
+    fit: Callable[[EstimatorSettings], Models], known: Known
 ) -> Iterator[tuple[str, Models, Schedule]]:
-    # A fit to a stretch that is all known weighs its frames alike, as eq. 3 does; the card's
-    # forgetting is for following a stream.
-    alike = fit(replace(settings, forgetting=1.0))
+    # A fit to a stretch that is all known weighs its frames alike, as eq. 3 does, and is rolled out
+    # for long; the card's forgetting and rho are for following a stream.
+    alike = replace(known.settings, forgetting=1.0)
+    settled = with_offline_rho(fit, alike, FIT_FRAMES, known.codes, known.controls)
     for regime, schedule in REGIMES.items():
-        yield regime, fit(settings) if regime == "full" else alike, schedule
+        yield regime, fit(known.settings if regime == "full" else settled), schedule

@@ -22,7 +22,7 @@ _SPAN = (COLOURS[1] - COLOURS[0]) / MAGNIFIED / 2
 # What the cylinder slows down glows; a difference is black where there is none.
 _FIELD = {"cmap": colormaps["magma_r"], "vmin": COLOURS[0], "vmax": COLOURS[1]}
 _DIFFERENCE = {"cmap": colormaps["berlin"], "vmin": -_SPAN, "vmax": _SPAN}
-_WIDTH, _ROW, _MARGINS = 10.5, 1.72, 0.95  # inches
+_WIDTH, _ROW, _MARGINS = 10.5, 1.66, 0.8  # inches
 
 
 def draw_strip(judged: Judged) -> Figure:
@@ -62,6 +62,7 @@ def _draw(axes: Axes, field: np.ndarray, judged: Judged, colours: dict[str, Any]
 def _bar(figure: Figure, image: AxesImage, panels: Any) -> None:
     bar = figure.colorbar(image, ax=panels, location="bottom", aspect=60, pad=0.012, fraction=0.02)
     bar.outline.set_visible(False)
+    bar.set_ticks(np.linspace(*image.get_clim(), 5).tolist())
     bar.ax.tick_params(length=0, labelsize=7)
     bar.set_label("x-momentum over the free stream's", fontsize=7.5)
 

@@ -39,6 +39,12 @@ def test_a_panel_a_wake_with_its_lines() -> None:
     assert upper.get_xlim() == pytest.approx(np.multiply(left.get_xlim(), 0.8 / 0.15))
 
 
+def test_a_steady_flow_is_guessed_exactly_and_still_drawn() -> None:
+    figure = draw_curves({"cylinder": splits(repeat_last=0.0)})
+    low, _ = figure.axes[0].get_ylim()
+    assert 0 < low < 1e-4
+
+
 def test_held_out_reynolds_numbers_side_by_side() -> None:
     figure = draw_held_out(RESULTS)
     titles = [axes.get_title("left") for axes in figure.axes]
