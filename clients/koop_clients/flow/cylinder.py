@@ -124,5 +124,10 @@ def in_units(pictures: np.ndarray) -> np.ndarray:
     return pictures.astype(np.float32) * SCALE[:, None, None] + MEAN[:, None, None]
 
 
+def stream_momentum(momenta: np.ndarray) -> np.ndarray:
+    """x-momentum over the free stream's, float32, of that channel of pictures (..., H, W)."""
+    return (momenta.astype(np.float32) * SCALE[1] + MEAN[1]) / np.float32(FREE_STREAM)
+
+
 def _weights(share: float) -> np.ndarray:
     return np.array([1 - share, share])

@@ -34,6 +34,10 @@ class FlowLog:
         self.probes.append(probe)
         self.rotations.append(rotation)
 
+    def series(self) -> np.ndarray:
+        """(T, 2): velocity, rotation."""
+        return np.column_stack([self.probes, self.rotations])
+
     def momenta(self, like: np.ndarray) -> np.ndarray:
         """(T, H, W) of the pictures kept, which are `like` (C, H, W)."""
         return np.array(self.pictures, like.dtype).reshape(-1, *like.shape[1:])

@@ -8,7 +8,7 @@ import numpy as np
 import zenoh
 
 from koop_clients.control import Controller
-from koop_clients.flow.cylinder import CylinderFlow
+from koop_clients.flow.cylinder import CylinderFlow, stream_momentum
 from koop_clients.flow.forcing import feedback
 from koop_clients.flow.plant import FlowPlant, natural_swing
 from koop_clients.flow.settings import FRAME_INTERVAL
@@ -20,6 +20,7 @@ from koop_clients.sim_client.driving.timing import Timing
 from koop_clients.sim_client.flowing.drive import MOMENTUM, FlowDrive
 from koop_clients.sim_client.flowing.drivers import STEP, FlowDriver, Obeying, Reference
 from koop_clients.sim_client.flowing.record import FlowRecord
+from koop_clients.sim_client.record import stack_series
 from koop_clients.sources import FrameSource
 
 _ASKING = 4  # questions at a time
@@ -75,14 +76,15 @@ class FlowDriving:
             drive.driver.close()
 
     def record(self) -> FlowRecord:
-        """What the first drive was."""
-        first = self.drives[0]
+        """What the drives were."""
+        logs = [drive.log for drive in self.drives]
+        series = stack_series([log.series() for log in logs], columns=2)
         return FlowRecord(
-            momenta=first.log.momenta(self._target),
-            target=self._target[MOMENTUM],
-            probes=np.array(first.log.probes),
-            rotations=np.array(first.log.rotations),
-            natural=first.natural,
+            momenta=stream_momentum(logs[0].momenta(self._target)),
+            target=stream_momentum(self._target[MOMENTUM]),
+            probes=series[..., 0],
+            rotations=series[..., 1],
+            natural=self._natural,
         )
 
     def _driver(self, source: FrameSource) -> FlowDriver:

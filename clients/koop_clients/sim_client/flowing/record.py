@@ -1,4 +1,4 @@
-"""One drive of a wake on disk: what figures are drawn from."""
+"""Drives of wakes on disk: what figures are drawn from."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ import numpy as np
 
 @dataclass(frozen=True, eq=False)
 class FlowRecord:
-    """A drive, frame by frame.
+    """N drives, frame by frame.
 
     Attributes:
-        momenta: (T, H, W) momentum along the stream, normalised as in pictures.
+        momenta: (T, H, W) momentum along the stream in the first one, over the free stream's.
         target: (H, W) the same of the steady flow.
-        probes: (T,) transverse velocity behind the cylinder [U].
-        rotations: (T,) rotation in the interval that follows [U/D].
+        probes: (N, T) transverse velocity behind the cylinder [U]; NaN where one was shorter.
+        rotations: (N, T) rotation in the interval that follows [U/D].
         natural: largest |v| behind a cylinder at rest [U].
     """
 
