@@ -20,7 +20,7 @@ from koop_service.evaluation.fluid.control.trials import CALM, INTERVAL, PROMPT,
 from koop_service.evaluation.fluid.errors import COLOURS
 from koop_service.evaluation.theme import DPI, PANEL, QUIET, TEXT, styled
 
-SHOWN = (0, 4, 8, 12, 16, 24, 32, 64, 128, 256)
+SHOWN = (0, 4, 8, 12, 16, 24, 32, 48, 64, 128, 256)
 """Frames of the drive that figure 16 shows."""
 WINDOW = (-2.0, 10.0, -3.0, 3.0)
 """x from, to, y from, to [D]."""
@@ -66,7 +66,7 @@ def draw_swings(trials: Mapping[str, Trials]) -> Figure:
             _lines(rotation, np.abs(found.rotations), name)
         swing.axhline(CALM, color=QUIET, lw=0.9, ls=(0, (4, 3)))
         swing.axvline(PROMPT, color=QUIET, lw=0.9, ls=(0, (4, 3)))
-        swing.set(yscale="log", ylabel="swing of v behind the cylinder, over its natural one")
+        swing.set(yscale="log", ylabel="swing over the natural one")
         rotation.set(
             yscale="log",
             ylim=(1e-4, 1),
