@@ -10,7 +10,7 @@ import sys
 import threading
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 # The service's matrices are small, and threads for them would fight with the encoder's over the
@@ -126,13 +126,18 @@ def _start(
     """Wire intake, pipeline and outbox together; the stack takes them down in reverse order."""
     limits = config.limits
     wire = Limits(max_message_bytes=limits.max_message_bytes, max_horizon=limits.max_horizon)
+    replies = replace(wire, max_message_bytes=limits.max_reply_bytes)
     intake: Intake[Question] = Intake(
         limits.queue_messages, limits.queue_bytes, limits.queue_queries, metrics.held.inc
     )
-    outbox = Outbox(lambda question: _finished(question, intake, metrics), metrics.unsent.inc)
+    outbox = Outbox(
+        lambda question: _finished(question, intake, metrics),
+        metrics.unsent.inc,
+        2 * limits.max_reply_bytes,
+    )
     tasks = Tasks()
     commander = Commander(tasks, registry, partial(put_command, session), metrics)
-    desk = Desk(intake, registry, commander, outbox, metrics, wire)
+    desk = Desk(intake, registry, commander, outbox, metrics, wire, replies)
     measurements = Measurements(registry, refusals, metrics, wire)
     pipeline = Pipeline(
         intake, measurements, desk, commander, config.compute.batch, metrics.lost.inc

@@ -147,14 +147,18 @@ class LimitSettings:
     queue_queries: int = 256
     """Queries waiting at once; further ones are answered 'overloaded'."""
     max_message_bytes: int = 4 << 20
-    """Largest message [bytes]."""
+    """Largest message that is taken in [bytes]."""
+    max_reply_bytes: int = 32 << 20
+    """Largest answer [bytes]. Predicted frames fill it: 127 of the flow past the cylinder, which
+    take half a second to draw."""
     max_horizon: int = 1000
     """Longest prediction or control sequence [frames]."""
 
     def __post_init__(self) -> None:
         for name in ("max_trajectories", "queue_messages", "queue_queries", "max_horizon"):
             _require_at_least(name, getattr(self, name), 1)
-        _require_at_least("max_message_bytes", self.max_message_bytes, 1024)
+        for name in ("max_message_bytes", "max_reply_bytes"):
+            _require_at_least(name, getattr(self, name), 1024)
         _require_at_least("queue_bytes", self.queue_bytes, self.max_message_bytes)
 
 

@@ -70,6 +70,7 @@ class Desk:
         outbox: Outbox,
         metrics: Metrics,
         limits: Limits,
+        replies: Limits,
     ) -> None:
         self._intake = intake
         self._registry = registry
@@ -77,6 +78,7 @@ class Desk:
         self._outbox = outbox
         self._metrics = metrics
         self._limits = limits
+        self._replies = replies
         self._pending: deque[_Pending] = deque()
         self._brake = Brake()
 
@@ -185,7 +187,7 @@ class Desk:
     def _understand(self, question: Question) -> _Answer:
         """The function from a trajectory to the reply's bytes. Raises ProtocolError."""
         reply = self._replier(question)
-        return lambda trajectory: encode(reply(trajectory), self._limits)
+        return lambda trajectory: encode(reply(trajectory), self._replies)
 
     def _replier(self, question: Question) -> Callable[[Trajectory], Message]:
         limits, payload = self._limits, question.payload
@@ -197,11 +199,11 @@ class Desk:
             prediction = predict_query_from_parameters(question.parameters, limits)
         else:
             prediction = decode_as(PredictQuery, payload, limits)
-        return lambda trajectory: queries.predict(trajectory, prediction)
+        return lambda trajectory: queries.predict(trajectory, prediction, self._replies)
 
     def _controller(self, order: Message) -> Callable[[Trajectory], Message]:
         if isinstance(order, LqrQuery):
-            return lambda trajectory: queries.control(trajectory, order)
+            return lambda trajectory: queries.control(trajectory, order, self._replies)
         if isinstance(order, LqrTask):
             return lambda trajectory: self._commander.begin(trajectory, order)
         if isinstance(order, LqrCancel):

@@ -74,13 +74,18 @@ class Endpoint:
 
     def _asker(self, kind: KeyKind) -> Callable[[zenoh.Query], None]:
         def ask(query: zenoh.Query) -> None:
-            question = ZenohQuestion(kind, query, self._max_bytes)
-            if not self._intake.ask(question, question.size):
-                self._metrics.refused.labels(str(ErrorCode.overloaded)).inc()
-                question.refuse(error_bytes(_overloaded()))
-                question.close()
+            size = 0 if query.payload is None else len(query.payload)
+            if size > self._max_bytes:
+                self._refuse(query, _too_large(size, self._max_bytes))
+            elif not self._intake.ask(ZenohQuestion(kind, query), size):
+                self._refuse(query, _overloaded())
 
         return ask
+
+    def _refuse(self, query: zenoh.Query, error: ProtocolError) -> None:
+        self._metrics.refused.labels(str(error.code)).inc()
+        with query:
+            query.reply_err(error_bytes(error))
 
 
 def put_command(session: zenoh.Session, key: str, payload: bytes) -> None:
@@ -99,7 +104,7 @@ def _too_large(size: int, limit: int) -> ProtocolError:
         ErrorCode.too_large,
         f"the message has {size} bytes",
         f"at most {limit}",
-        "send smaller images, or raise --max-message-bytes",
+        "send smaller or fewer images, or raise koop-serve's --max-message-bytes",
         {"limit": limit},
     )
 
