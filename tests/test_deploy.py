@@ -1,6 +1,6 @@
 """deploy/ is what koop-pki writes, and by default nothing listens beyond this machine.
 
-    python tests/test_deploy.py    writes deploy/ anew, after a change of the templates
+python tests/test_deploy.py    writes deploy/ anew, after a change of the templates
 """
 
 from __future__ import annotations

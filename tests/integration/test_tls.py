@@ -1,0 +1,161 @@
+"""Who gets through to the hub of the shipped configuration: real certificates over loopback.
+
+Each refusal is told apart from a service that is not there: the client says that the hub is there
+and why it does not let it in, and a good certificate gets in at the same moment.
+"""
+
+from __future__ import annotations
+
+import datetime
+import shutil
+import socket
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+from integration.loopback import wait_until
+from integration.secured import HOST, NOW, Secured
+
+from koop_clients.connection import NoServiceError, RefusedError, open_session
+from koop_clients.pki.certificates import (
+    Identity,
+    make_authority,
+    make_client,
+    make_server,
+)
+from koop_clients.pki.storage import CA, CONFIGURATION, load_identity, replace_identity
+from koop_service.serving.config import NetworkSettings
+from koop_service.serving.session import locators
+from koop_service.serving.session import open_session as open_hub
+
+DAY = datetime.timedelta(days=1)
+
+
+@pytest.fixture
+def authority(guarded: Secured) -> Identity:
+    """The one that the hub trusts."""
+    return load_identity(guarded.deployment.folder / "ca")
+
+
+@pytest.fixture
+def impostor(guarded: Secured, tmp_path: Path) -> Callable[[Identity], Path]:
+    """The configuration of robot7 with another certificate."""
+
+    def make(identity: Identity) -> Path:
+        shutil.copytree(guarded.deployment.folder / "robot7", tmp_path / "impostor")
+        replace_identity(tmp_path / "impostor", identity)
+        return tmp_path / "impostor" / CONFIGURATION
+
+    return make
+
+
+def refused(guarded: Secured, file: Path, endpoint: str | None = None) -> str:
+    """Why the hub, which lets robot7 in, does not let this one in."""
+    with guarded.session("robot7"):
+        pass
+    with pytest.raises(RefusedError) as caught:
+        open_session(endpoint or guarded.endpoint, config_file=file)
+    return str(caught.value)
+
+
+@contextmanager
+def another_hub(file: Path) -> Iterator[str]:
+    """A hub without a service; its endpoint."""
+    with open_hub(NetworkSettings(zenoh_config=file, listen=(f"tls/{HOST}:0",))) as session:
+        yield locators(session)[0]
+
+
+def test_a_certificate_of_the_authority_gets_in(guarded: Secured) -> None:
+    with guarded.session("robot7") as session:
+        assert [str(router) for router in session.info.routers_zid()] == [str(guarded.hub.zid())]
+
+
+def test_no_certificate(guarded: Secured, tmp_path: Path) -> None:
+    folder = guarded.deployment.folder / "robot7"
+    shutil.copy(folder / CA, tmp_path)
+    lines = (folder / CONFIGURATION).read_text().splitlines(keepends=True)
+    bare = [line for line in lines if "connect_" not in line and "enable_mtls" not in line]
+    assert len(bare) == len(lines) - 3
+    (tmp_path / CONFIGURATION).write_text("".join(bare))
+    assert "asks for a certificate" in refused(guarded, tmp_path / CONFIGURATION)
+
+
+def test_a_certificate_of_a_foreign_authority(
+    guarded: Secured, impostor: Callable[[Identity], Path]
+) -> None:
+    file = impostor(make_client(make_authority(NOW), "robot7", NOW))
+    assert "does not know the authority that signed" in refused(guarded, file)
+
+
+def test_an_expired_certificate(
+    guarded: Secured, authority: Identity, impostor: Callable[[Identity], Path]
+) -> None:
+    file = impostor(make_client(authority, "robot7", NOW - 2 * DAY, days=1))
+    assert "has expired, or is not valid yet" in refused(guarded, file)
+
+
+def test_a_certificate_of_tomorrow(
+    guarded: Secured, authority: Identity, impostor: Callable[[Identity], Path]
+) -> None:
+    file = impostor(make_client(authority, "robot7", NOW + DAY))
+    assert "has expired, or is not valid yet" in refused(guarded, file)
+
+
+def test_the_certificate_of_a_hub_is_none_of_a_client(
+    guarded: Secured, authority: Identity, impostor: Callable[[Identity], Path]
+) -> None:
+    file = impostor(make_server(authority, ["robot7"], NOW))
+    assert "does not take" in refused(guarded, file)
+
+
+def test_plain_tcp(guarded: Secured) -> None:
+    with pytest.raises(RefusedError, match="takes TLS only; connect with a certificate"):
+        open_session(f"tcp/{HOST}:{guarded.port}")
+
+
+def test_a_name_that_the_hubs_certificate_is_not_for(guarded: Secured) -> None:
+    told = refused(guarded, guarded.file("robot7"), f"tls/localhost:{guarded.port}")
+    assert "its certificate is not for localhost" in told
+
+
+@pytest.mark.parametrize(
+    ("fake", "told"),
+    [
+        ("of a foreign authority", "is not from the authority in"),
+        ("that has expired", "its certificate has expired"),
+        ("of tomorrow", "its certificate is not valid yet"),
+        ("of a robot", "is not a hub's, but somebody's who passes for it"),
+    ],
+)
+def test_a_client_does_not_take_a_hub_with_a_certificate(
+    guarded: Secured, authority: Identity, tmp_path: Path, fake: str, told: str
+) -> None:
+    """The same configuration as the real hub's, on another port, with another certificate."""
+    identity = {
+        "of a foreign authority": lambda: make_server(make_authority(NOW), [HOST], NOW),
+        "that has expired": lambda: make_server(authority, [HOST], NOW - 2 * DAY, days=1),
+        "of tomorrow": lambda: make_server(authority, [HOST], NOW + DAY),
+        "of a robot": lambda: make_client(authority, "robot8", NOW),
+    }[fake]()
+    shutil.copytree(guarded.deployment.folder / "hub", tmp_path / "hub")
+    replace_identity(tmp_path / "hub", identity)
+    with another_hub(tmp_path / "hub" / CONFIGURATION) as endpoint:
+        assert told in refused(guarded, guarded.file("robot7"), endpoint)
+
+
+def test_where_nobody_listens_there_is_no_service_instead(guarded: Secured) -> None:
+    with socket.socket() as taken:
+        taken.bind((HOST, 0))  # bound and not listening: connections are refused
+        port = taken.getsockname()[1]
+        with pytest.raises(NoServiceError, match="start one with `koop-serve`"):
+            open_session(f"tls/{HOST}:{port}", config_file=guarded.file("robot7"))
+
+
+def test_the_link_ends_with_the_certificate(
+    guarded: Secured, authority: Identity, impostor: Callable[[Identity], Path]
+) -> None:
+    soon = make_client(authority, "robot7", datetime.datetime.now(datetime.UTC), days=3 / 86400)
+    with open_session(guarded.endpoint, config_file=impostor(soon)) as session:
+        assert session.info.routers_zid()
+        wait_until(lambda: not session.info.routers_zid(), "the end of the link")
