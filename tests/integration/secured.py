@@ -43,10 +43,7 @@ class Secured:
     service: Service
     hub: zenoh.Session
     deployment: Deployment
-
-    @property
-    def endpoint(self) -> str:
-        return self.service.endpoints[0].partition("#")[0]
+    endpoint: str
 
     @property
     def port(self) -> int:
@@ -72,7 +69,7 @@ def secured(deployment: Deployment, state: Path, model: Path) -> Iterator[Secure
         models=(ModelRule(model, ("line3/*",)),), state_folder=state, network=network
     )
     with open_hub(network) as hub, running(config, hub) as service:
-        yield Secured(service, hub, deployment)
+        yield Secured(service, hub, deployment, service.endpoints[0])
 
 
 def begin(session: zenoh.Session, name: str) -> Source:

@@ -25,6 +25,7 @@ from koop_clients.pki.certificates import (
     make_server,
 )
 from koop_clients.pki.storage import CA, CONFIGURATION, load_identity, replace_identity
+from koop_clients.sim_client import cli
 from koop_service.serving.config import NetworkSettings
 from koop_service.serving.session import locators
 from koop_service.serving.session import open_session as open_hub
@@ -159,3 +160,37 @@ def test_the_link_ends_with_the_certificate(
     with open_session(guarded.endpoint, config_file=impostor(soon)) as session:
         assert session.info.routers_zid()
         wait_until(lambda: not session.info.routers_zid(), "the end of the link")
+
+
+@pytest.mark.parametrize(
+    ("options", "told"),
+    [
+        (["--connect", "tcp/HUB"], "takes TLS only; connect with a certificate: --zenoh-config"),
+        (["--connect", "tls/HUB"], "not from an authority that this machine trusts"),
+        (["--zenoh-config", "FOREIGN"], "does not know the authority that signed"),
+        (["--zenoh-config", "MISSING"], "names ca.pem as its root_ca_certificate, but there is no"),
+        (["--zenoh-config", "operator", "--wait", "0"], "that they let this certificate ask"),
+    ],
+)
+def test_the_simulator_client_says_why_it_is_refused(
+    guarded: Secured,
+    impostor: Callable[[Identity], Path],
+    monkeypatch: pytest.MonkeyPatch,
+    options: list[str],
+    told: str,
+) -> None:
+    """In one sentence, at once, and without a traceback."""
+    foreign = impostor(make_client(make_authority(NOW), "robot7", NOW))
+    files = {
+        "FOREIGN": str(foreign),
+        "MISSING": str(shutil.copy(foreign, foreign.parent.parent)),
+        "operator": str(guarded.file("operator")),
+    }
+    given = [files.get(o, o.replace("HUB", f"{HOST}:{guarded.port}")) for o in options]
+    if "--connect" not in given:
+        given += ["--connect", guarded.endpoint]
+    monkeypatch.setattr("sys.argv", ["koop-sim-client", "--system", "pendulum", *given])
+    with pytest.raises(SystemExit) as caught:
+        cli.main()
+    assert str(caught.value).startswith("koop-sim-client: ")
+    assert told in str(caught.value)
