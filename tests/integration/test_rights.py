@@ -38,6 +38,8 @@ from koop_protocol import (
 
 ROBOT, OTHER = "line3/robot7", "line3/robot8"
 FRAMES = 40  # past the warm-up
+
+
 EVERYTHING = ("**", "koop/@client/*", "koop/@source/**")  # ** leaves out chunks that begin with @
 QUERY = LqrQuery(10, picture(0, 100), u_min=-np.ones(1), u_max=np.ones(1), force=True)
 
@@ -95,6 +97,11 @@ def silence(ask: Callable[[], object]) -> None:
     with pytest.raises(KoopError) as caught:
         ask()
     assert caught.value.code == NO_REPLY
+
+
+def durable_key(name: str) -> str:
+    """On which the service says what a source's log need not keep."""
+    return replay_key(name).replace("replay", "durable")
 
 
 # What works
@@ -156,6 +163,13 @@ def test_a_source_answers_for_its_own_past(guarded: Secured) -> None:
         wait_until(lambda: seen.keys == [token, token], "the token's coming and going")
 
 
+def test_a_source_hears_what_it_need_not_keep(guarded: Secured) -> None:
+    key = durable_key(ROBOT)
+    with guarded.session("robot7") as session, overhearing(session, key) as witness:
+        guarded.hub.put(key, b"")
+        wait_until(lambda: witness.keys == [key], "the word of the service")
+
+
 # What does not
 
 
@@ -168,7 +182,8 @@ def test_a_source_cannot_write_for_another(guarded: Secured) -> None:
         forged = source.frame(FRAMES)
         keys = [frame_key(OTHER), control_key(OTHER), "koop/frame/**", "koop/frame/*/line3/*"]
         with overhearing(guarded.hub) as witness:
-            put_everywhere(robber, [*keys, command_key(OTHER), command_key(ROBOT)], encode(forged))
+            keys += [command_key(OTHER), command_key(ROBOT), durable_key(OTHER), durable_key(ROBOT)]
+            put_everywhere(robber, keys, encode(forged))
             assert witness.keys == []
             assert asking(session).state(OTHER) == before
             source.put(forged)
@@ -256,7 +271,7 @@ def test_a_source_asks_only_about_itself(guarded: Secured) -> None:
 @pytest.mark.parametrize("certificate", ["wall", "robot7", "operator"])
 def test_who_may_not_record_overhears_nothing(guarded: Secured, certificate: str) -> None:
     """Frames of others reach none of them, though a recorder gets them."""
-    keys = ("**", "koop/**", frame_key(OTHER), "koop/frame/**", "koop/@client/*", "koop/@source/**")
+    keys = (*EVERYTHING, frame_key(OTHER), "koop/frame/**", durable_key(OTHER))
     with (
         guarded.session(certificate) as session,
         guarded.session("recorder") as recorder,

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import zenoh
 from integration.loopback import DEADLINE, picture, wait_until
 from integration.secured import HOST, Secured, begin, deploy, stream
 
@@ -73,6 +74,17 @@ def test_it_asks_sources_for_their_past_and_knows_who_is_there(leaf: Secured) ->
         wait_until(lambda: tokens(leaf) == [token], "the source's token")
         (reply,) = leaf.hub.get(key, timeout=DEADLINE)
         assert reply.ok.payload.to_bytes() == b"the past"
+
+
+def test_it_tells_sources_what_they_need_not_keep(leaf: Secured) -> None:
+    key, heard = replay_key(ROBOT).replace("replay", "durable"), []
+    with (
+        leaf.session("robot7") as robot,
+        robot.declare_subscriber(key, lambda sample: heard.append(sample.payload.to_bytes())),
+    ):
+        flush(robot)
+        leaf.hub.put(key, b"all", congestion_control=zenoh.CongestionControl.BLOCK)
+        wait_until(lambda: heard == [b"all"], "the word of the service")
 
 
 def test_a_source_cannot_write_for_another(leaf: Secured) -> None:

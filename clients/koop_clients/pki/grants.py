@@ -24,6 +24,7 @@ from koop_protocol import (
     KeyKind,
 )
 
+DURABLES = "koop/durable/**"
 SOURCE_TOKENS = "koop/@source/**"
 WORKER_TOKENS = "koop/@worker/**"
 
@@ -62,7 +63,7 @@ def grants_of(party: Party) -> list[Grant]:
 
 def _publishing(patterns: tuple[str, ...]) -> list[Grant]:
     measurements = _sharded("frame", patterns) + _sharded("control", patterns)
-    replays = _sharded("replay", patterns)
+    replays, durables = _sharded("replay", patterns), _sharded("durable", patterns)
     return [
         _sends(("put",), *measurements),
         # It learns that there is a subscriber at all; otherwise its session sends nothing.
@@ -70,6 +71,8 @@ def _publishing(patterns: tuple[str, ...]) -> list[Grant]:
         _sends(("declare_queryable", "reply"), *replays),
         _gets(("query",), *replays),
         _sends(("liveliness_token",), *_sharded("@source", patterns)),
+        _sends(("declare_subscriber",), *durables),
+        _gets(("put",), *durables),
     ]
 
 
@@ -99,7 +102,7 @@ def _recording(patterns: tuple[str, ...]) -> list[Grant]:
 def _serving() -> list[Grant]:
     """The service's own part, for a service that is a leaf of a router."""
     heard, answered, asked = (FRAMES, CONTROLS), (PREDICTIONS, LQRS, STATES), (REPLAYS,)
-    told, tokens = (COMMANDS, STATES), (CLIENT_TOKENS, SOURCE_TOKENS)
+    told, tokens = (COMMANDS, STATES, DURABLES), (CLIENT_TOKENS, SOURCE_TOKENS)
     return [
         _sends(("declare_subscriber",), *heard),
         _gets(("put",), *heard),
