@@ -80,6 +80,7 @@ def open_session(
     config = _client_config() if config_file is None else _read_config(Path(config_file))
     if connect is not None or config_file is None:
         _set_endpoints(config, connect or DEFAULT_ENDPOINT)
+    _check_protocols(config)
     _raise_wait_before_close(config)
     return _open(config, wait)
 
@@ -114,6 +115,7 @@ def _read_config(path: Path) -> zenoh.Config:
     except zenoh.ZError as error:
         raise ValueError(f"{path} is not a Zenoh configuration: {error}") from error
     _find_certificates(config, path)
+    _credentials(config).context()
     return config
 
 
@@ -144,6 +146,17 @@ def _set_endpoints(config: zenoh.Config, connect: str | list[str]) -> None:
             f"{', '.join(endpoints)!r} is not a Zenoh endpoint; expected one like "
             f"{DEFAULT_ENDPOINT}"
         ) from error
+
+
+def _check_protocols(config: zenoh.Config) -> None:
+    """A configuration for TLS is not used in plain text by mistake."""
+    allowed = json.loads(config.get_json("transport/link/protocols"))
+    for endpoint in _endpoints(config):
+        if allowed and endpoint.partition("/")[0] not in allowed:
+            raise ValueError(
+                f"the configuration does not allow {endpoint}; expected an endpoint that begins "
+                f"with {' or '.join(f'{protocol}/' for protocol in allowed)}"
+            )
 
 
 def _raise_wait_before_close(config: zenoh.Config) -> None:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import datetime
 import ipaddress
+import re
 from collections.abc import Iterable
 from dataclasses import dataclass
 
@@ -26,6 +27,7 @@ AUTHORITY_DAYS = 3650
 DAYS = 365
 """How long the other certificates are valid [d]."""
 
+_HOST = re.compile(r"[A-Za-z0-9_-]{1,63}(?:\.[A-Za-z0-9_-]{1,63})*", re.ASCII)
 _SKEW = datetime.timedelta(minutes=10)
 """By how much the clocks of robots may be behind."""
 
@@ -108,6 +110,22 @@ def server_names(certificate: bytes) -> list[str]:
     return [str(name.value) for name in found.value]
 
 
+def check_host(name: str) -> None:
+    """Raise ValueError unless `name` is a host's name or an IP address."""
+    if _HOST.fullmatch(name) is None and not _is_address(name):
+        raise ValueError(
+            f"{name!r} is no host; expected a name such as koop.example, in ASCII, or an address"
+        )
+
+
+def _is_address(name: str) -> bool:
+    try:
+        ipaddress.ip_address(name)
+    except ValueError:
+        return False
+    return True
+
+
 def _issue(
     authority: Identity,
     name: str,
@@ -166,10 +184,10 @@ def _name(common_name: str) -> x509.Name:
 
 
 def _alternative(name: str) -> x509.GeneralName:
-    try:
+    check_host(name)
+    if _is_address(name):
         return x509.IPAddress(ipaddress.ip_address(name))
-    except ValueError:
-        return x509.DNSName(name)
+    return x509.DNSName(name)
 
 
 def _key_usage(**given: bool) -> x509.KeyUsage:

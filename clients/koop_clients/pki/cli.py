@@ -14,7 +14,7 @@ import tyro
 from koop_clients.pki.party import AUTHORITY, HUB, Party
 
 try:
-    from koop_clients.pki.certificates import DAYS
+    from koop_clients.pki.certificates import DAYS, check_host
     from koop_clients.pki.deployment import REGISTER, Deployment
     from koop_clients.pki.storage import CONFIGURATION
 except ModuleNotFoundError as error:
@@ -80,6 +80,7 @@ class Init(Options):
         """Make the folder."""
         if not 0 <= self.port < 65536:
             raise ValueError(f"--port is {self.port}; expected 0 to 65535")
+        check_host(self.listen)
         deployment = self.deployment
         deployment.begin(self.server, self.listen, self.port, _now(), self.days)
         print(
