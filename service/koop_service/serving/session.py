@@ -13,7 +13,7 @@ os.environ.setdefault("ZENOH_RUNTIME", "(rx: (worker_threads: 16))")
 
 import zenoh
 
-from koop_service.serving.config import LOOPBACK, NetworkSettings
+from koop_service.serving.config import NetworkSettings
 
 _LARGEST_MESSAGE = 64 << 20
 """What Zenoh puts together at all [bytes]; the protocol's own limit is far lower, and answered."""
@@ -88,7 +88,7 @@ def open_session(settings: NetworkSettings) -> zenoh.Session:
     except zenoh.ZError as error:
         reason = str(error).split(" at /")[0]
         if "listener" in reason or "in use" in reason:
-            raise CannotListenError(settings.endpoints or (LOOPBACK,), reason) from error
+            raise CannotListenError(_endpoints(config, "listen"), reason) from error
         if "onnect" in reason:
             raise UnreachableError(_unreachable(config)) from error
         where = ", ".join((*settings.endpoints, *settings.connect)) or settings.zenoh_config
@@ -136,10 +136,17 @@ def _find_certificates(config: zenoh.Config, path: Path) -> None:
         _set(config, f"{_TLS}/{name}", str(file))
 
 
+def _endpoints(config: zenoh.Config, kind: str) -> tuple[str, ...]:
+    """Where a configuration listens or connects, without the parameters of its endpoints."""
+    found = json.loads(config.get_json(f"{kind}/endpoints"))
+    if isinstance(found, dict):  # a file may give them by mode
+        found = found.get(json.loads(config.get_json("mode")), [])
+    return tuple(str(endpoint).partition("#")[0] for endpoint in found)
+
+
 def _unreachable(config: zenoh.Config) -> str:
     """Why there is no session yet, as far as Zenoh tells."""
-    endpoints = json.loads(config.get_json("connect/endpoints"))
-    where = ", ".join(map(str, endpoints)) or "the routers of the Zenoh configuration"
+    where = ", ".join(_endpoints(config, "connect")) or "the routers of the Zenoh configuration"
     if "tls/" not in where:
         return f"no router at {where} yet"
     return f"no router at {where} yet, or one refuses the certificates (RUST_LOG=zenoh=warn tells)"
