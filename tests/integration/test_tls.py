@@ -26,6 +26,7 @@ from koop_clients.pki.certificates import (
 )
 from koop_clients.pki.storage import CA, CONFIGURATION, load_identity, replace_identity
 from koop_clients.sim_client import cli
+from koop_protocol import FRAMES, frame_key
 from koop_service.serving.config import NetworkSettings
 from koop_service.serving.session import locators
 from koop_service.serving.session import open_session as open_hub
@@ -153,13 +154,52 @@ def test_where_nobody_listens_there_is_no_service_instead(guarded: Secured) -> N
             open_session(f"tls/{HOST}:{port}", config_file=guarded.file("robot7"))
 
 
-def test_the_link_ends_with_the_certificate(
+def test_the_link_ends_with_the_certificate_and_comes_back_with_the_next_one(
     guarded: Secured, authority: Identity, impostor: Callable[[Identity], Path]
 ) -> None:
+    """So a certificate is renewed by replacing files, under a running session."""
     soon = make_client(authority, "robot7", datetime.datetime.now(datetime.UTC), days=3 / 86400)
-    with open_session(guarded.endpoint, config_file=impostor(soon)) as session:
+    file = impostor(soon)
+    with open_session(guarded.endpoint, config_file=file) as session:
         assert session.info.routers_zid()
         wait_until(lambda: not session.info.routers_zid(), "the end of the link")
+        replace_identity(file.parent, make_client(authority, "robot7", NOW))
+        wait_until(lambda: bool(session.info.routers_zid()), "the next link")
+
+
+def test_a_hub_can_trust_two_authorities_while_one_replaces_the_other(
+    guarded: Secured, impostor: Callable[[Identity], Path], tmp_path: Path
+) -> None:
+    next_ = make_authority(NOW)
+    file = impostor(make_client(next_, "robot7", NOW))
+    hub = tmp_path / "hub"
+    shutil.copytree(guarded.deployment.folder / "hub", hub)
+    (hub / CA).write_bytes((hub / CA).read_bytes() + next_.certificate_pem)
+    with another_hub(hub / CONFIGURATION) as endpoint:
+        for each in (file, guarded.file("robot7")):
+            with open_session(endpoint, config_file=each) as session:
+                assert session.info.routers_zid()
+    assert "does not know the authority that signed" in refused(guarded, file)
+
+
+def test_sources_go_on_when_the_hub_starts_again(guarded: Secured) -> None:
+    """As it must to read new rules; the same session, the same publisher."""
+    file, key = guarded.deployment.configuration, frame_key("line3/robot7")
+    with open_hub(NetworkSettings(zenoh_config=file, listen=(f"tls/{HOST}:0",))) as hub:
+        endpoint = locators(hub)[0]
+        session = open_session(endpoint, config_file=guarded.file("robot7"))
+    again = NetworkSettings(zenoh_config=file, listen=(endpoint,))
+    seen: list[bytes] = []
+    with (
+        session,
+        session.declare_publisher(key) as publisher,
+        open_hub(again) as hub,
+        hub.declare_subscriber(FRAMES, lambda sample: seen.append(sample.payload.to_bytes())),
+    ):
+        wait_until(lambda: publisher.matching_status.matching, "a subscriber at the new hub")
+        for number in range(5):
+            publisher.put(bytes([number]))
+        wait_until(lambda: len(seen) == 5, "what was put after the restart")
 
 
 @pytest.mark.parametrize(
