@@ -167,19 +167,23 @@ def test_the_link_ends_with_the_certificate_and_comes_back_with_the_next_one(
         wait_until(lambda: bool(session.info.routers_zid()), "the next link")
 
 
-def test_a_hub_can_trust_two_authorities_while_one_replaces_the_other(
+def test_two_authorities_are_trusted_while_one_replaces_the_other(
     guarded: Secured, impostor: Callable[[Identity], Path], tmp_path: Path
 ) -> None:
+    """Old and new leaves at an old and a new hub, where all have both authorities in ca.pem."""
     next_ = make_authority(NOW)
-    file = impostor(make_client(next_, "robot7", NOW))
-    hub = tmp_path / "hub"
+    new, old, hub = impostor(make_client(next_, "robot7", NOW)), tmp_path / "old", tmp_path / "hub"
+    assert "does not know the authority that signed" in refused(guarded, new)
+    shutil.copytree(guarded.deployment.folder / "robot7", old)
     shutil.copytree(guarded.deployment.folder / "hub", hub)
-    (hub / CA).write_bytes((hub / CA).read_bytes() + next_.certificate_pem)
-    with another_hub(hub / CONFIGURATION) as endpoint:
-        for each in (file, guarded.file("robot7")):
-            with open_session(endpoint, config_file=each) as session:
-                assert session.info.routers_zid()
-    assert "does not know the authority that signed" in refused(guarded, file)
+    for folder in (new.parent, old, hub):
+        (folder / CA).write_bytes((folder / CA).read_bytes() + next_.certificate_pem)
+    for identity in (load_identity(hub), make_server(next_, [HOST], NOW)):
+        replace_identity(hub, identity)
+        with another_hub(hub / CONFIGURATION) as endpoint:
+            for file in (new, old / CONFIGURATION):
+                with open_session(endpoint, config_file=file) as session:
+                    assert session.info.routers_zid()
 
 
 def test_sources_go_on_when_the_hub_starts_again(guarded: Secured) -> None:

@@ -10,6 +10,7 @@ from koop_clients.connection import FLUSH_KEY
 from koop_clients.pki.grants import Grant, grants_of
 from koop_clients.pki.party import Party
 from koop_protocol import (
+    KeyKind,
     command_key,
     control_key,
     frame_key,
@@ -111,3 +112,13 @@ def test_everybody_may_flush_and_no_kind_is_granted_twice() -> None:
     assert Grant("ingress", ("liveliness_query",), (FLUSH_KEY,)) in grants
     assert len({(grant.flow, grant.messages) for grant in grants}) == len(grants)
     assert all(len(set(grant.keys)) == len(grant.keys) > 0 for grant in grants)
+
+
+def test_every_key_of_the_protocol_is_for_somebody() -> None:
+    """A key that no right names could be used by nobody behind the shipped rules."""
+    every = dict.fromkeys(("publishes", "operates", "views", "records"), ("**",))
+    leaf, service = Party("leaf", **every), Party("service", serves=True)
+    for kind in KeyKind:
+        for party, flow in ((leaf, "ingress"), (leaf, "egress"), (service, "ingress")):
+            keys = [key for g in grants_of(party) if g.flow == flow for key in g.keys]
+            assert any(key.startswith(f"koop/{kind}/") for key in keys), (kind, party.name, flow)

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import os
+import re
+import shlex
 import stat
 import subprocess
 import sys
@@ -205,6 +207,16 @@ def test_the_list_says_who_may_do_what_until_when(pki: Run, tmp_path: Path) -> N
     assert lines["wall"][0] == "renew"
     assert lines["wall"][2:] == ["views", "**"]
     assert lines["late"][0] == "EXPIRED"
+
+
+@pytest.mark.parametrize("page", ["README.md", "docs/security.md"])
+def test_the_commands_in_the_documents_work(pki: Run, page: str) -> None:
+    text = (Path(__file__).parents[3] / page).read_text(encoding="utf-8")
+    commands = re.findall(r"^\.venv/bin/koop-pki (.*)$", text, re.M)
+    assert commands[0].startswith("init ")
+    for command in commands:
+        told = pki(*shlex.split(command, comments=True))
+        assert "wrote " in told, told
 
 
 def test_without_its_library_it_says_what_to_install(tmp_path: Path) -> None:
