@@ -7,8 +7,6 @@ put has been handed on, or has been dropped for good.
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,13 +14,23 @@ import numpy as np
 import pytest
 import zenoh
 from integration.loopback import DEADLINE, picture, wait_until
-from integration.secured import NOW, Secured, begin, stream
+from integration.secured import (
+    EVERYTHING,
+    NOW,
+    Secured,
+    Witness,
+    asking,
+    begin,
+    overhearing,
+    put_everywhere,
+    silence,
+    stream,
+)
 
 from koop_clients.connection import flush, open_session
 from koop_clients.control import Controller
 from koop_clients.pki.certificates import make_client
 from koop_clients.pki.storage import CONFIGURATION, load_identity, replace_identity
-from koop_clients.queries import NO_REPLY, KoopClient, KoopError
 from koop_clients.sources import FrameSource
 from koop_protocol import (
     LqrQuery,
@@ -38,9 +46,6 @@ from koop_protocol import (
 
 ROBOT, OTHER = "line3/robot7", "line3/robot8"
 FRAMES = 40  # past the warm-up
-
-
-EVERYTHING = ("**", "koop/@client/*", "koop/@source/**")  # ** leaves out chunks that begin with @
 QUERY = LqrQuery(10, picture(0, 100), u_min=-np.ones(1), u_max=np.ones(1), force=True)
 
 
@@ -50,53 +55,6 @@ def streamed(guarded: Secured) -> None:
     for certificate, name in (("robot7", ROBOT), ("robot8", OTHER)):
         with guarded.session(certificate) as session:
             stream(session, name, FRAMES)
-
-
-class Witness:
-    """Keys of what somebody received."""
-
-    def __init__(self) -> None:
-        self.keys: list[str] = []
-
-    def see(self, message: zenoh.Sample | zenoh.Query) -> None:
-        self.keys.append(str(message.key_expr))
-
-
-@contextmanager
-def overhearing(session: zenoh.Session, *keys: str) -> Iterator[Witness]:
-    """What is put on the keys, and who comes and goes; the hub's own session hears all of it."""
-    witness, keys = Witness(), keys or EVERYTHING
-    callback = zenoh.handlers.Callback(witness.see, indirect=False)
-    declared = [session.declare_subscriber(key, callback) for key in keys]
-    declared += [session.liveliness().declare_subscriber(key, callback) for key in keys]
-    flush(session)
-    yield witness
-    for declaration in declared:
-        declaration.undeclare()
-
-
-def put_everywhere(session: zenoh.Session, keys: list[str], payload: bytes) -> None:
-    """By every means that a session has: put, delete, declared publisher."""
-    block = zenoh.CongestionControl.BLOCK
-    for key in keys:
-        session.put(key, payload, congestion_control=block)
-        session.delete(key, congestion_control=block)
-        with session.declare_publisher(key, congestion_control=block) as publisher:
-            publisher.put(payload)
-            publisher.put(payload)
-    flush(session)
-
-
-def asking(session: zenoh.Session) -> KoopClient:
-    """Patient: a busy machine takes its time, and who may not ask is told so at once."""
-    return KoopClient(session, DEADLINE)
-
-
-def silence(ask: Callable[[], object]) -> None:
-    """The question gets no answer at all, not even a refusal by the service."""
-    with pytest.raises(KoopError) as caught:
-        ask()
-    assert caught.value.code == NO_REPLY
 
 
 def durable_key(name: str) -> str:
