@@ -206,5 +206,6 @@ def _no_reply(key: str, seconds: float) -> KoopError:
     return KoopError(
         NO_REPLY,
         f"nobody answered on {key} (waiting up to {seconds:g} s); check that `koop-serve` runs, "
-        "and that this session is connected to it",
+        "that this session is connected to it and, where the hub has access rules, that they let "
+        "this certificate ask",
     )

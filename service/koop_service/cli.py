@@ -225,7 +225,8 @@ def _greeting(service: Service) -> str:
         lines.append(f"  trajectories continued from the last run: {service.restored}")
     if service.metrics_port is not None:
         lines.append(f"  metrics: port {service.metrics_port}, /metrics")
-    lines.append("  try: koop-sim-client --system cartpole    (Ctrl-C stops)")
+    how = " --zenoh-config FILE" if "tls/" in where else ""
+    lines.append(f"  try: koop-sim-client --system cartpole{how}    (Ctrl-C stops)")
     return "\n".join(lines)
 
 
