@@ -6,10 +6,11 @@ import gc
 import logging
 import os
 import signal
+import socket
 import sys
 import threading
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass
 from functools import partial
 
@@ -25,6 +26,8 @@ from koop_service.encoding.catalogue import Catalogue, ModelEntry, bundled_or_ow
 from koop_service.serving import logs
 from koop_service.serving.config import ServiceConfig
 from koop_service.serving.desk import Desk
+from koop_service.serving.durability.lmdb_store import LmdbStore
+from koop_service.serving.durability.store import EVERY_SHARD
 from koop_service.serving.endpoint import Endpoint, put_command
 from koop_service.serving.intake import Intake
 from koop_service.serving.measurements import Measurements
@@ -38,7 +41,6 @@ from koop_service.serving.refusals import Refusals
 from koop_service.serving.registry import Registry, settings_for
 from koop_service.serving.rehearsal import rehearse
 from koop_service.serving.session import UnreachableError, locators, open_session
-from koop_service.serving.snapshots import SnapshotStore
 from koop_service.serving.steering.commander import Commander
 from koop_service.serving.steering.tasks import Tasks
 
@@ -102,17 +104,16 @@ def running(config: ServiceConfig, session: zenoh.Session) -> Iterator[Service]:
         config.limits.max_trajectories,
         config.compute.device,
     )
-    store = SnapshotStore(config.state_folder)
-    store.prepare()
-    restored = registry.restore(store.load())
-    _prepare(registry, catalogue, config.compute.batch)
-    with ExitStack() as stack:
-        pipeline = _start(config, session, registry, refusals, metrics, stack)
-        port = _serve_metrics(config, metrics, stack)
-        yield Service(locators(session), catalogue, metrics, port, restored)
-        stack.close()
-    if pipeline.finished:
-        store.save(registry.snapshot())
+    with closing(LmdbStore(config.state_folder)) as store:
+        claim = store.claim(f"koop-serve {socket.gethostname()}:{os.getpid()}", EVERY_SHARD)
+        restored = registry.restore(store.load(EVERY_SHARD))
+        _prepare(registry, catalogue, config.compute.batch)
+        with ExitStack() as stack:
+            pipeline = _start(config, session, registry, refusals, metrics, stack)
+            port = _serve_metrics(config, metrics, stack)
+            yield Service(locators(session), catalogue, metrics, port, restored)
+        if pipeline.finished:
+            store.save(claim, registry.snapshot())
 
 
 def _start(
