@@ -23,7 +23,6 @@ from koop_protocol import (
     ReplayQuery,
     ReplayReply,
     decode,
-    decode_as,
     durable_key,
     encode,
     replay_key,
@@ -39,14 +38,15 @@ def session(endpoint: str):
         yield opened
 
 
-def ask(hub: zenoh.Session, name: str, query: ReplayQuery | None = None) -> Message:
-    payload = None if query is None else encode(query)
+def ask(hub: zenoh.Session, name: str, payload: bytes | None) -> Message:
+    """The answer of the log, once its token is there."""
+    wait_until(lambda: source_token(name) in tokens(hub))
     (reply,) = hub.get(replay_key(name), payload=payload, timeout=10.0)
     return decode((reply.ok or reply.err).payload.to_bytes())
 
 
 def replayed(hub: zenoh.Session, name: str, query: ReplayQuery | None = None) -> list[Message]:
-    reply = ask(hub, name, query)
+    reply = ask(hub, name, None if query is None else encode(query))
     assert isinstance(reply, ReplayReply)
     return [decode(data) for data in reply.messages]
 
@@ -141,8 +141,9 @@ def test_a_question_that_cannot_be_read_is_refused(
 ) -> None:
     with SourceLog(tmp_path / "log") as log, FrameSource(session, "a", log=log) as source:
         source.put_frame(IMAGE)
-        (reply,) = hub.get(replay_key("a"), payload=b"nonsense", timeout=10.0)
-        assert decode_as(ErrorReply, reply.err.payload.to_bytes()).code == "malformed"
+        refusal = ask(hub, "a", b"nonsense")
+        assert isinstance(refusal, ErrorReply)
+        assert refusal.code == "malformed"
 
 
 def test_an_epoch_goes_on_where_it_is_said_so(
