@@ -13,6 +13,7 @@ from koop_protocol.predictions import (
     PredictReply,
     predict_query_from_parameters,
 )
+from koop_protocol.replays import Durable, ReplayQuery, ReplayReply
 from koop_protocol.status import ErrorReply, StateReply
 from koop_protocol.tasks import Command, EndReason, LqrCancel, LqrEnd, LqrTask
 
@@ -30,6 +31,9 @@ Message = (
     | Command
     | LqrEnd
     | StateReply
+    | ReplayQuery
+    | ReplayReply
+    | Durable
     | ErrorReply
 )
 
@@ -37,6 +41,7 @@ __all__ = [
     "VERSION",
     "Command",
     "Control",
+    "Durable",
     "EndReason",
     "ErrorReply",
     "Frame",
@@ -48,6 +53,8 @@ __all__ = [
     "Message",
     "PredictQuery",
     "PredictReply",
+    "ReplayQuery",
+    "ReplayReply",
     "StateReply",
     "predict_query_from_parameters",
 ]

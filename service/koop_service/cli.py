@@ -6,10 +6,11 @@ import gc
 import logging
 import os
 import signal
+import socket
 import sys
 import threading
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -25,7 +26,13 @@ from koop_service.encoding.catalogue import Catalogue, ModelEntry, bundled_or_ow
 from koop_service.serving import logs
 from koop_service.serving.config import ServiceConfig
 from koop_service.serving.desk import Desk
-from koop_service.serving.endpoint import Endpoint, put_command
+from koop_service.serving.durability.keeper import Keeper
+from koop_service.serving.durability.lmdb_store import LmdbStore
+from koop_service.serving.durability.log_reader import LogReader
+from koop_service.serving.durability.recovery import Recovery
+from koop_service.serving.durability.snapshotter import Snapshotter
+from koop_service.serving.durability.store import EVERY_SHARD
+from koop_service.serving.endpoint import Endpoint, put_command, put_durable
 from koop_service.serving.intake import Intake
 from koop_service.serving.measurements import Measurements
 from koop_service.serving.metrics import Metrics
@@ -38,7 +45,6 @@ from koop_service.serving.refusals import Refusals
 from koop_service.serving.registry import Registry, settings_for
 from koop_service.serving.rehearsal import rehearse
 from koop_service.serving.session import UnreachableError, locators, open_session
-from koop_service.serving.snapshots import SnapshotStore
 from koop_service.serving.steering.commander import Commander
 from koop_service.serving.steering.tasks import Tasks
 
@@ -102,28 +108,29 @@ def running(config: ServiceConfig, session: zenoh.Session) -> Iterator[Service]:
         config.limits.max_trajectories,
         config.compute.device,
     )
-    store = SnapshotStore(config.state_folder)
-    store.prepare()
-    restored = registry.restore(store.load())
-    _prepare(registry, catalogue, config.compute.batch)
-    with ExitStack() as stack:
-        pipeline = _start(config, session, registry, refusals, metrics, stack)
-        port = _serve_metrics(config, metrics, stack)
-        yield Service(locators(session), catalogue, metrics, port, restored)
-        stack.close()
-    if pipeline.finished:
-        store.save(registry.snapshot())
+    with closing(LmdbStore(config.state_folder)) as store:
+        claim = store.claim(f"koop-serve {socket.gethostname()}:{os.getpid()}", EVERY_SHARD)
+        restored = registry.restore(store.load(EVERY_SHARD))
+        _prepare(registry, catalogue, config.compute.batch)
+        keeper = Keeper(store, claim, partial(put_durable, session), metrics)
+        with ExitStack() as stack:
+            keeper.start()
+            stack.callback(keeper.stop)
+            with _started(config, session, registry, refusals, metrics, keeper):
+                port = _serve_metrics(config, metrics, stack)
+                yield Service(locators(session), catalogue, metrics, port, restored)
 
 
-def _start(
+@contextmanager
+def _started(
     config: ServiceConfig,
     session: zenoh.Session,
     registry: Registry,
     refusals: Refusals,
     metrics: Metrics,
-    stack: ExitStack,
-) -> Pipeline:
-    """Wire intake, pipeline and outbox together; the stack takes them down in reverse order."""
+    keeper: Keeper,
+) -> Iterator[None]:
+    """Intake, pipeline, outbox and all that they need, wired together; then the last snapshots."""
     limits = config.limits
     wire = Limits(max_message_bytes=limits.max_message_bytes, max_horizon=limits.max_horizon)
     replies = replace(wire, max_message_bytes=limits.max_reply_bytes)
@@ -135,21 +142,38 @@ def _start(
         metrics.unsent.inc,
         2 * limits.max_reply_bytes,
     )
+    reader = LogReader(session, intake.tell, wire.for_replays().max_message_bytes)
+    recovery = Recovery(registry, reader.ask, metrics, wire, 2 * limits.max_trajectories)
+    every = config.durability.snapshot_every
+    snapshotter = Snapshotter(registry, keeper, recovery.is_logged, every)
     tasks = Tasks()
     commander = Commander(tasks, registry, partial(put_command, session), metrics)
-    desk = Desk(intake, registry, commander, outbox, metrics, wire, replies)
-    measurements = Measurements(registry, refusals, metrics, wire)
+    desk = Desk(intake, registry, commander, recovery, outbox, metrics, wire, replies)
+    measurements = Measurements(registry, refusals, recovery, metrics, wire, snapshotter.note)
     pipeline = Pipeline(
-        intake, measurements, desk, commander, config.compute.batch, metrics.lost.inc
+        intake,
+        measurements,
+        desk,
+        commander,
+        recovery,
+        snapshotter,
+        config.compute.batch,
+        metrics.lost.inc,
     )
     _watch(metrics, intake, registry, tasks)
-    outbox.start()
-    stack.callback(outbox.stop, _LAST_ANSWERS)
-    pipeline.start()
-    stack.callback(pipeline.stop, _LAST_BATCH)
+    _watch_durability(metrics, recovery, snapshotter, keeper)
     endpoint = Endpoint(intake, metrics, limits.max_message_bytes)
-    stack.enter_context(endpoint.declared(session))
-    return pipeline
+    with ExitStack() as stack:
+        outbox.start()
+        stack.callback(outbox.stop, _LAST_ANSWERS)
+        reader.start()
+        stack.callback(reader.stop, _LAST_ANSWERS)
+        pipeline.start()
+        stack.callback(pipeline.stop, _LAST_BATCH)
+        stack.enter_context(endpoint.declared(session))
+        yield
+    if pipeline.finished:
+        snapshotter.finish()
 
 
 def _finished(question: Question, intake: Intake[Question], metrics: Metrics) -> None:
@@ -164,6 +188,16 @@ def _watch(metrics: Metrics, intake: Intake[Question], registry: Registry, tasks
     metrics.watch("trajectories", "Trajectories held", lambda: len(registry))
     metrics.watch("trajectories_ready", "Trajectories that can be predicted", registry.count_ready)
     metrics.watch("tasks", "Closed-loop tasks under way", lambda: len(tasks))
+
+
+def _watch_durability(
+    metrics: Metrics, recovery: Recovery, snapshotter: Snapshotter, keeper: Keeper
+) -> None:
+    metrics.watch("catching_up", "Trajectories catching up with a log", lambda: recovery.behind)
+    metrics.watch("snapshot_age_seconds", "Age of the oldest unstored change", snapshotter.age)
+    metrics.watch(
+        "not_durable", "1 while states cannot be stored", lambda: float(not keeper.is_durable)
+    )
 
 
 def _serve_metrics(config: ServiceConfig, metrics: Metrics, stack: ExitStack) -> int | None:

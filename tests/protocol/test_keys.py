@@ -19,6 +19,7 @@ from koop_protocol import (
     client_token,
     command_key,
     control_key,
+    durable_key,
     frame_key,
     lqr_key,
     owner_of,
@@ -37,6 +38,7 @@ BUILDERS = {
     KeyKind.lqr: lqr_key,
     KeyKind.command: command_key,
     KeyKind.state: state_key,
+    KeyKind.durable: durable_key,
 }
 names = st.lists(st.from_regex(r"[A-Za-z0-9_.-]{1,9}", fullmatch=True), min_size=1, max_size=4)
 trajectories = names.map("/".join)

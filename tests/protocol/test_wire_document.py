@@ -13,6 +13,7 @@ import pytest
 from koop_protocol import (
     Command,
     Control,
+    Durable,
     EndReason,
     ErrorCode,
     ErrorReply,
@@ -25,6 +26,8 @@ from koop_protocol import (
     LqrTask,
     PredictQuery,
     PredictReply,
+    ReplayQuery,
+    ReplayReply,
     StateReply,
     client_token,
     control_key,
@@ -33,7 +36,9 @@ from koop_protocol import (
     parse_key,
     predict_query_from_parameters,
     shard_of,
+    source_token,
 )
+from koop_protocol.limits import REPLAY_ROOM
 
 DOCUMENT = (Path(__file__).parents[2] / "docs" / "wire.md").read_text(encoding="utf-8")
 HEADINGS = {
@@ -48,6 +53,9 @@ HEADINGS = {
     "command": Command,
     "lqr_end": LqrEnd,
     "state": StateReply,
+    "replay_query": ReplayQuery,
+    "replay_reply": ReplayReply,
+    "durable": Durable,
     "error": ErrorReply,
 }
 
@@ -85,7 +93,7 @@ def test_the_shards_are_what_the_code_gives():
 
 def test_the_keys_are_keys():
     keys = [row[0].strip("`") for row in rows(section("## Keys")) if row[0].startswith("`koop")]
-    assert len(keys) == 6
+    assert len(keys) == 8
     for key in keys:
         real = key.replace("<shard>", "1b").replace("<trajectory>", "cartpole/0")
         assert parse_key(real).trajectory == "cartpole/0"
@@ -112,6 +120,13 @@ def test_the_reasons_of_an_end_are_all_there():
 
 def test_the_token_of_an_owner_is_what_the_code_gives():
     assert f"`{client_token('OWNER').replace('OWNER', '<owner>')}`" in section("## Control tasks")
+
+
+def test_a_log_s_token_and_room_are_what_the_code_gives():
+    text = section("## Sources that keep a log")
+    token = source_token("cartpole/0").replace("1b/cartpole/0", "<shard>/<trajectory>")
+    assert f"`{token}`" in text
+    assert f"{REPLAY_ROOM} bytes" in section("## Limits")
 
 
 def test_the_limits_are_the_defaults():

@@ -16,6 +16,7 @@ from koop_service.estimation.estimator import Bank
 from koop_service.estimation.settings import EstimatorSettings
 from koop_service.estimation.stream import Stream
 from koop_service.serving.config import EstimatorChoices
+from koop_service.serving.durability.sealing import seal, unseal
 from koop_service.serving.records import check_record, restored, snapshot_of
 from koop_service.serving.refusals import Refusals
 from koop_service.serving.trajectories import REMEMBERED_EPOCHS, Trajectory, check_image
@@ -136,16 +137,16 @@ class Registry:
 
     # Snapshots
 
-    def snapshot(self) -> dict[str, dict[str, Any]]:
-        """A record of each trajectory that has been folded into."""
-        return {t.name: snapshot_of(t) for t in self if t.stream.epoch is not None}
+    def snapshot(self) -> dict[str, bytes]:
+        """A sealed record of each trajectory that has been folded into."""
+        return {t.name: seal(snapshot_of(t)) for t in self if t.stream.epoch is not None}
 
-    def restore(self, records: Mapping[str, Mapping[str, Any]]) -> int:
-        """Open the trajectories that still fit models and settings; how many."""
+    def restore(self, records: Mapping[str, bytes]) -> int:
+        """Open the trajectories that are whole and still fit models and settings; how many."""
         left_out: list[str] = []
-        for name, record in records.items():
+        for name, sealed in records.items():
             try:
-                self._trajectories[name] = self._restored(name, record)
+                self._trajectories[name] = self._restored(name, unseal(sealed))
             except Exception as error:
                 left_out.append(f"{name[:200]!r}: {error}")
         if left_out:

@@ -64,7 +64,7 @@ class Plant:
         assert found is not None
         return found
 
-    def trajectory_records(self) -> Mapping[str, Mapping[str, object]]:
+    def trajectory_records(self) -> Mapping[str, bytes]:
         """What the service would store now."""
         return self._registry.snapshot()
 
