@@ -6,10 +6,9 @@ import gc
 import logging
 import os
 import signal
-import socket
 import sys
 import threading
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass
 from functools import partial
@@ -21,7 +20,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import torch
 import zenoh
 
-from koop_protocol import Limits
+from koop_protocol import OVERLOADED, SHORT_OF_MEMORY, Limits
 from koop_service.encoding.catalogue import Catalogue, ModelEntry, bundled_or_own
 from koop_service.serving import logs
 from koop_service.serving.config import ServiceConfig
@@ -31,18 +30,24 @@ from koop_service.serving.durability.store import EVERY_SHARD
 from koop_service.serving.endpoint import Endpoint, put_command
 from koop_service.serving.intake import Intake
 from koop_service.serving.measurements import Measurements
+from koop_service.serving.memory import Memory
 from koop_service.serving.metrics import Metrics
 from koop_service.serving.options import read_options
 from koop_service.serving.outbox import Outbox
+from koop_service.serving.pace import Pace
 from koop_service.serving.pipeline import Pipeline
 from koop_service.serving.process import limit_arenas
 from koop_service.serving.questions import Question
 from koop_service.serving.refusals import Refusals
 from koop_service.serving.registry import Registry, settings_for
 from koop_service.serving.rehearsal import rehearse
+from koop_service.serving.replies import Replies
 from koop_service.serving.session import UnreachableError, locators, open_session
 from koop_service.serving.steering.commander import Commander
 from koop_service.serving.steering.tasks import Tasks
+from koop_service.serving.strain import MEMORY, QUEUE, Strain
+from koop_service.serving.vitals import Vitals, worker_name
+from koop_service.serving.watchdog import Watchdog, give_up
 
 log = logging.getLogger("koop.service")
 
@@ -105,7 +110,7 @@ def running(config: ServiceConfig, session: zenoh.Session) -> Iterator[Service]:
         config.compute.device,
     )
     with closing(LmdbStore(config.state_folder)) as store:
-        claim = store.claim(f"koop-serve {socket.gethostname()}:{os.getpid()}", EVERY_SHARD)
+        claim = store.claim(f"koop-serve {worker_name()}", EVERY_SHARD)
         restored = registry.restore(store.load(EVERY_SHARD))
         _prepare(registry, catalogue, config.compute.batch)
         with ExitStack() as stack:
@@ -133,33 +138,71 @@ def _start(
     outbox = Outbox(lambda question: _finished(question, intake, metrics), metrics.unsent.inc)
     tasks = Tasks()
     commander = Commander(tasks, registry, partial(put_command, session), metrics)
-    desk = Desk(intake, registry, commander, outbox, metrics, wire)
+    queue, memory = Strain(QUEUE, metrics), Memory(limits.max_memory, Strain(MEMORY, metrics))
+    vitals = Vitals(worker_name(), intake, registry)
+    vitals.watch(OVERLOADED, lambda: queue.active)
+    vitals.watch(SHORT_OF_MEMORY, lambda: memory.strain.active)
+    replies = Replies(commander, wire)
+    desk = Desk(intake, registry, replies, outbox, metrics, vitals, (queue, memory.strain))
     measurements = Measurements(registry, refusals, metrics, wire)
     pipeline = Pipeline(
-        intake, measurements, desk, commander, config.compute.batch, metrics.lost.inc
+        intake,
+        measurements,
+        desk,
+        commander,
+        vitals,
+        queue,
+        memory,
+        config.compute.batch,
+        metrics.lost.inc,
     )
-    _watch(metrics, intake, registry, tasks)
+    _watch(metrics, intake, registry, tasks, (queue, memory.strain))
     outbox.start()
     stack.callback(outbox.stop, _LAST_ANSWERS)
     pipeline.start()
     stack.callback(pipeline.stop, _LAST_BATCH)
-    endpoint = Endpoint(intake, metrics, limits.max_message_bytes)
+    _guard(config, pipeline, metrics, stack)
+    pace = Pace(limits.max_query_rate)
+    endpoint = Endpoint(intake, metrics, limits.max_message_bytes, pace)
     stack.enter_context(endpoint.declared(session))
     return pipeline
 
 
 def _finished(question: Question, intake: Intake[Question], metrics: Metrics) -> None:
     """A question has had its last answer."""
-    intake.answered(question.size)
+    intake.answered(question.size, question.kind)
     metrics.queries.labels(question.kind).observe(question.age())
 
 
-def _watch(metrics: Metrics, intake: Intake[Question], registry: Registry, tasks: Tasks) -> None:
+def _guard(config: ServiceConfig, pipeline: Pipeline, metrics: Metrics, stack: ExitStack) -> None:
+    """Have a watchdog look after the pipeline."""
+    patience, exits = config.monitoring.stuck_after, config.monitoring.exit_when_stuck
+    if patience:
+        stuck = give_up(exits, patience, metrics.stuck.inc)
+        watchdog = Watchdog(lambda: pipeline.turns, patience, stuck, exits)
+        watchdog.start()
+        stack.callback(watchdog.stop)
+
+
+def _watch(
+    metrics: Metrics,
+    intake: Intake[Question],
+    registry: Registry,
+    tasks: Tasks,
+    strains: Sequence[Strain],
+) -> None:
+    for strain in strains:
+        word, cause = strain.kind.word, strain.kind.cause
+        metrics.watch(word, f"Whether {cause}", partial(_is_active, strain))
     metrics.watch("queue_messages", "Measurements waiting", lambda: intake.depth)
     metrics.watch("queue_queries", "Queries not answered yet", lambda: intake.unanswered)
     metrics.watch("trajectories", "Trajectories held", lambda: len(registry))
     metrics.watch("trajectories_ready", "Trajectories that can be predicted", registry.count_ready)
     metrics.watch("tasks", "Closed-loop tasks under way", lambda: len(tasks))
+
+
+def _is_active(strain: Strain) -> float:
+    return float(strain.active)
 
 
 def _serve_metrics(config: ServiceConfig, metrics: Metrics, stack: ExitStack) -> int | None:

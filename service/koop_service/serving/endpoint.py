@@ -12,6 +12,7 @@ from koop_protocol import (
     CLIENT_TOKENS,
     CONTROLS,
     FRAMES,
+    HEALTH,
     LQRS,
     PREDICTIONS,
     STATES,
@@ -22,20 +23,32 @@ from koop_protocol import (
 )
 from koop_service.serving.intake import Intake, Presence
 from koop_service.serving.metrics import Metrics
+from koop_service.serving.pace import Pace
 from koop_service.serving.questions import Question, ZenohQuestion, error_bytes
+from koop_service.serving.strain import RETRY_AFTER
 
 log = logging.getLogger("koop.endpoint")
 
-_QUERYABLES = {PREDICTIONS: KeyKind.predict, LQRS: KeyKind.lqr, STATES: KeyKind.state}
+_QUERYABLES = {
+    PREDICTIONS: KeyKind.predict,
+    LQRS: KeyKind.lqr,
+    STATES: KeyKind.state,
+    HEALTH: KeyKind.health,
+}
+_BY_COUNT, _BY_RATE = "queries", "rate"
+"""Reasons to shed a query before anybody looks at it."""
 
 
 class Endpoint:
     """What the service hears: frames, controls, queries, and who is there."""
 
-    def __init__(self, intake: Intake[Question], metrics: Metrics, max_bytes: int) -> None:
+    def __init__(
+        self, intake: Intake[Question], metrics: Metrics, max_bytes: int, pace: Pace
+    ) -> None:
         self._intake = intake
         self._metrics = metrics
         self._max_bytes = max_bytes
+        self._pace = pace
 
     @contextmanager
     def declared(self, session: zenoh.Session) -> Iterator[None]:
@@ -75,12 +88,19 @@ class Endpoint:
     def _asker(self, kind: KeyKind) -> Callable[[zenoh.Query], None]:
         def ask(query: zenoh.Query) -> None:
             question = ZenohQuestion(kind, query, self._max_bytes)
-            if not self._intake.ask(question, question.size):
-                self._metrics.refused.labels(str(ErrorCode.overloaded)).inc()
-                question.refuse(error_bytes(_overloaded()))
-                question.close()
+            wait = self._pace.wait(question.key) if kind is KeyKind.predict else 0.0
+            if wait:
+                self._shed(question, _BY_RATE, _too_often(wait))
+            elif not self._intake.ask(question, question.size, kind):
+                self._shed(question, _BY_COUNT, _too_many())
 
         return ask
+
+    def _shed(self, question: Question, reason: str, error: ProtocolError) -> None:
+        self._metrics.refused.labels(str(error.code)).inc()
+        self._metrics.shed.labels(reason).inc()
+        question.refuse(error_bytes(error))
+        question.close()
 
 
 def put_command(session: zenoh.Session, key: str, payload: bytes) -> None:
@@ -110,9 +130,19 @@ def _deleted() -> ProtocolError:
     )
 
 
-def _overloaded() -> ProtocolError:
+def _too_many() -> ProtocolError:
     return ProtocolError(
         ErrorCode.overloaded,
         "the service has more queries than it can answer",
-        remedy="ask again later, or less often",
+        remedy=f"ask again in {RETRY_AFTER:g} s, or less often",
+        details={"reason": _BY_COUNT, "retry_after": RETRY_AFTER},
+    )
+
+
+def _too_often(wait: float) -> ProtocolError:
+    return ProtocolError(
+        ErrorCode.overloaded,
+        "predictions of this trajectory are asked for too often",
+        remedy=f"ask again in {wait:.2g} s, or raise --max-query-rate",
+        details={"reason": _BY_RATE, "retry_after": wait},
     )

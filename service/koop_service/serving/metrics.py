@@ -21,6 +21,8 @@ class Metrics:
         self.lost = self._counter("lost", "Messages taken in and then lost by a fault of ours")
         self.refused = self._counter("refused", "Queries answered by an error, by code", ["code"])
         self.unsent = self._counter("unsent", "Answers given up because callers did not read them")
+        self.shed = self._counter("shed", "Queries refused to make room, by reason", ["reason"])
+        self.stuck = self._counter("stuck", "Times the pipeline stood still for too long")
         self.held = self._counter("held", "Times a source was held back by a full queue")
         self.commands = self._counter("commands", "Commands put, by the plan's status", ["status"])
         self.batch = Histogram(

@@ -16,13 +16,18 @@ from collections.abc import Callable
 from koop_service.serving.desk import Desk
 from koop_service.serving.intake import Arrival, Intake
 from koop_service.serving.measurements import Measurements
+from koop_service.serving.memory import Memory
 from koop_service.serving.questions import Question
 from koop_service.serving.steering.commander import Commander
+from koop_service.serving.strain import Strain
+from koop_service.serving.vitals import Vitals
 
 log = logging.getLogger("koop.pipeline")
 
 _ANSWERING = 0.01
 """Longest time spent on answers between two batches [s]."""
+_BRIEFLY = 0.002
+"""The same while measurements come faster than they are folded [s]."""
 _FINISHING = 0.5
 """Longest time spent on what still waits when the service stops [s]."""
 _IDLE = 1.0
@@ -38,6 +43,9 @@ class Pipeline:
         measurements: Measurements,
         desk: Desk,
         commander: Commander,
+        vitals: Vitals,
+        queue: Strain,
+        memory: Memory,
         batch: int,
         lost: Callable[[int], None],
     ) -> None:
@@ -45,8 +53,12 @@ class Pipeline:
         self._measurements = measurements
         self._desk = desk
         self._commander = commander
+        self._vitals = vitals
+        self._queue = queue
+        self._memory = memory
         self._batch = batch
         self._lost = lost
+        self._turns = 0
         self._stopping = threading.Event()
         self._thread = threading.Thread(target=self._run, name="koop-pipeline", daemon=True)
 
@@ -65,18 +77,27 @@ class Pipeline:
         """Whether nobody touches the trajectories any more."""
         return not self._thread.is_alive()
 
+    @property
+    def turns(self) -> int:
+        """How often the loop has turned: every second at least, unless it is stuck."""
+        return self._turns
+
     def step(self) -> None:
         """One turn of the loop."""
+        self._turns += 1
+        self._queue.observe(self._intake.load)
+        self._memory.observe()
         self._desk.collect()
         # After the questions: whoever asks for a task has declared its token before.
         self._commander.attend(self._intake.take_presences())
         self._process(self._urgent())
-        self._desk.answer(_ANSWERING)
+        self._desk.answer(_BRIEFLY if self._queue.active else _ANSWERING)
         self._process(self._intake.take(self._batch))
 
     def _process(self, arrivals: list[Arrival]) -> None:
         if arrivals:
             self._commander.command(self._measurements.process(arrivals))
+            self._vitals.folded()
 
     def _urgent(self) -> list[Arrival]:
         """What questions wait for, a batch at most."""
