@@ -1,6 +1,7 @@
-"""`koop-health`: whether the service moves, in one line and an exit code, for probes and for people.
+"""`koop-health`: whether the service moves, in one line and an exit code.
 
-Needs numpy, msgpack and eclipse-zenoh, nothing else, and imports nothing that takes long.
+For probes and for people. Needs numpy, msgpack and eclipse-zenoh, and imports nothing that takes
+long.
 """
 
 from __future__ import annotations

@@ -32,7 +32,7 @@ def lines(
     return caplog
 
 
-def test_an_overload_is_two_lines_whatever_is_refused_in_it(
+def test_an_overload_is_two_lines_whatever_is_refused(
     lines: pytest.LogCaptureFixture,
 ) -> None:
     clock, metrics = Clock(), Metrics()
