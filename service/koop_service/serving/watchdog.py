@@ -47,6 +47,7 @@ class Watchdog:
 
     def start(self) -> None:
         """Begin to look."""
+        self._wind_up()
         self._thread.start()
 
     def stop(self) -> None:
@@ -68,9 +69,12 @@ class Watchdog:
 
     def _run(self) -> None:
         while not self._stopping.wait(self._patience / _TICKS):
-            faulthandler.dump_traceback_later(2 * self._patience, exit=self._exits)
+            self._wind_up()
             self.look()
         faulthandler.cancel_dump_traceback_later()
+
+    def _wind_up(self) -> None:
+        faulthandler.dump_traceback_later(2 * self._patience, exit=self._exits)
 
 
 def stacks() -> str:
