@@ -20,14 +20,18 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import torch
 import zenoh
 
-from koop_protocol import OVERLOADED, SHORT_OF_MEMORY, Limits
+from koop_protocol import CATCHING_UP, NOT_DURABLE, Limits
 from koop_service.encoding.catalogue import Catalogue, ModelEntry, bundled_or_own
 from koop_service.serving import logs
 from koop_service.serving.config import ServiceConfig
 from koop_service.serving.desk import Desk
+from koop_service.serving.durability.keeper import Keeper
 from koop_service.serving.durability.lmdb_store import LmdbStore
+from koop_service.serving.durability.log_reader import LogReader
+from koop_service.serving.durability.recovery import Recovery
+from koop_service.serving.durability.snapshotter import Snapshotter
 from koop_service.serving.durability.store import EVERY_SHARD
-from koop_service.serving.endpoint import Endpoint, put_command
+from koop_service.serving.endpoint import Endpoint, put_command, put_durable
 from koop_service.serving.intake import Intake
 from koop_service.serving.measurements import Measurements
 from koop_service.serving.memory import Memory
@@ -113,59 +117,71 @@ def running(config: ServiceConfig, session: zenoh.Session) -> Iterator[Service]:
         claim = store.claim(f"koop-serve {worker_name()}", EVERY_SHARD)
         restored = registry.restore(store.load(EVERY_SHARD))
         _prepare(registry, catalogue, config.compute.batch)
+        keeper = Keeper(store, claim, partial(put_durable, session), metrics)
         with ExitStack() as stack:
-            pipeline = _start(config, session, registry, refusals, metrics, stack)
-            port = _serve_metrics(config, metrics, stack)
-            yield Service(locators(session), catalogue, metrics, port, restored)
-        if pipeline.finished:
-            store.save(claim, registry.snapshot())
+            keeper.start()
+            stack.callback(keeper.stop)
+            with _started(config, session, registry, refusals, metrics, keeper):
+                port = _serve_metrics(config, metrics, stack)
+                yield Service(locators(session), catalogue, metrics, port, restored)
 
 
-def _start(
+@contextmanager
+def _started(
     config: ServiceConfig,
     session: zenoh.Session,
     registry: Registry,
     refusals: Refusals,
     metrics: Metrics,
-    stack: ExitStack,
-) -> Pipeline:
-    """Wire intake, pipeline and outbox together; the stack takes them down in reverse order."""
+    keeper: Keeper,
+) -> Iterator[None]:
+    """Intake, pipeline, outbox and all that they need, wired together; then the last snapshots."""
     limits = config.limits
     wire = Limits(max_message_bytes=limits.max_message_bytes, max_horizon=limits.max_horizon)
     intake: Intake[Question] = Intake(
         limits.queue_messages, limits.queue_bytes, limits.queue_queries, metrics.held.inc
     )
     outbox = Outbox(lambda question: _finished(question, intake, metrics), metrics.unsent.inc)
+    reader = LogReader(session, intake.tell, wire.for_replays().max_message_bytes)
+    recovery = Recovery(registry, reader.ask, metrics, wire, 2 * limits.max_trajectories)
+    every = config.durability.snapshot_every
+    snapshotter = Snapshotter(registry, keeper, recovery.is_logged, every)
     tasks = Tasks()
     commander = Commander(tasks, registry, partial(put_command, session), metrics)
     queue, memory = Strain(QUEUE, metrics), Memory(limits.max_memory, Strain(MEMORY, metrics))
-    vitals = Vitals(worker_name(), intake, registry)
-    vitals.watch(OVERLOADED, lambda: queue.active)
-    vitals.watch(SHORT_OF_MEMORY, lambda: memory.strain.active)
+    vitals = Vitals(worker_name(), intake, registry, queue, memory)
+    vitals.watch(NOT_DURABLE, lambda: not keeper.is_durable)
+    vitals.watch(CATCHING_UP, lambda: recovery.behind > 0)
+    strains = (queue, memory.strain)
     replies = Replies(commander, wire)
-    desk = Desk(intake, registry, replies, outbox, metrics, vitals, (queue, memory.strain))
-    measurements = Measurements(registry, refusals, metrics, wire)
+    desk = Desk(intake, registry, replies, recovery, outbox, metrics, vitals, strains)
+    measurements = Measurements(registry, refusals, recovery, metrics, wire, snapshotter.note)
     pipeline = Pipeline(
         intake,
         measurements,
         desk,
         commander,
         vitals,
-        queue,
-        memory,
+        recovery,
+        snapshotter,
         config.compute.batch,
         metrics.lost.inc,
     )
-    _watch(metrics, intake, registry, tasks, (queue, memory.strain))
-    outbox.start()
-    stack.callback(outbox.stop, _LAST_ANSWERS)
-    pipeline.start()
-    stack.callback(pipeline.stop, _LAST_BATCH)
-    _guard(config, pipeline, metrics, stack)
-    pace = Pace(limits.max_query_rate)
-    endpoint = Endpoint(intake, metrics, limits.max_message_bytes, pace)
-    stack.enter_context(endpoint.declared(session))
-    return pipeline
+    _watch(metrics, intake, registry, tasks, strains)
+    _watch_durability(metrics, recovery, snapshotter, keeper)
+    endpoint = Endpoint(intake, metrics, limits.max_message_bytes, Pace(limits.max_query_rate))
+    with ExitStack() as stack:
+        outbox.start()
+        stack.callback(outbox.stop, _LAST_ANSWERS)
+        reader.start()
+        stack.callback(reader.stop, _LAST_ANSWERS)
+        pipeline.start()
+        stack.callback(pipeline.stop, _LAST_BATCH)
+        _guard(config, vitals, metrics, stack)
+        stack.enter_context(endpoint.declared(session))
+        yield
+    if pipeline.finished:
+        snapshotter.finish()
 
 
 def _finished(question: Question, intake: Intake[Question], metrics: Metrics) -> None:
@@ -174,12 +190,12 @@ def _finished(question: Question, intake: Intake[Question], metrics: Metrics) ->
     metrics.queries.labels(question.kind).observe(question.age())
 
 
-def _guard(config: ServiceConfig, pipeline: Pipeline, metrics: Metrics, stack: ExitStack) -> None:
+def _guard(config: ServiceConfig, vitals: Vitals, metrics: Metrics, stack: ExitStack) -> None:
     """Have a watchdog look after the pipeline."""
     patience, exits = config.monitoring.stuck_after, config.monitoring.exit_when_stuck
     if patience:
         stuck = give_up(exits, patience, metrics.stuck.inc)
-        watchdog = Watchdog(lambda: pipeline.turns, patience, stuck, exits)
+        watchdog = Watchdog(lambda: vitals.turns, patience, stuck, exits)
         watchdog.start()
         stack.callback(watchdog.stop)
 
@@ -203,6 +219,16 @@ def _watch(
 
 def _is_active(strain: Strain) -> float:
     return float(strain.active)
+
+
+def _watch_durability(
+    metrics: Metrics, recovery: Recovery, snapshotter: Snapshotter, keeper: Keeper
+) -> None:
+    metrics.watch("catching_up", "Trajectories catching up with a log", lambda: recovery.behind)
+    metrics.watch("snapshot_age_seconds", "Age of the oldest unstored change", snapshotter.age)
+    metrics.watch(
+        "not_durable", "1 while states cannot be stored", lambda: float(not keeper.is_durable)
+    )
 
 
 def _serve_metrics(config: ServiceConfig, metrics: Metrics, stack: ExitStack) -> int | None:

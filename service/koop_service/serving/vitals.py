@@ -9,9 +9,11 @@ from collections.abc import Callable
 from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
-from koop_protocol import Health
+from koop_protocol import OVERLOADED, SHORT_OF_MEMORY, Health
 from koop_service.serving.intake import Intake
+from koop_service.serving.memory import Memory
 from koop_service.serving.registry import Registry
+from koop_service.serving.strain import Strain
 
 
 def worker_name() -> str:
@@ -27,15 +29,38 @@ class Vitals:
         worker: str,
         intake: Intake[Any],
         registry: Registry,
+        queue: Strain,
+        memory: Memory,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self._worker = worker
         self._intake = intake
         self._registry = registry
+        self._queue = queue
+        self._memory = memory
         self._clock = clock
+        self._turns = 0
         self._began = clock()
         self._last_fold: float | None = None
         self._troubles: dict[str, Callable[[], bool]] = {}
+        self.watch(OVERLOADED, lambda: queue.active)
+        self.watch(SHORT_OF_MEMORY, lambda: memory.strain.active)
+
+    @property
+    def turns(self) -> int:
+        """How often the pipeline has turned: every second at least, unless it is stuck."""
+        return self._turns
+
+    @property
+    def overloaded(self) -> bool:
+        """Whether measurements come faster than they are folded."""
+        return self._queue.active
+
+    def turn(self) -> None:
+        """A turn begins: see how full everything is."""
+        self._turns += 1
+        self._queue.observe(self._intake.load)
+        self._memory.observe()
 
     def watch(self, word: str, is_so: Callable[[], bool]) -> None:
         """Say `word` under `degraded` as long as it is so."""

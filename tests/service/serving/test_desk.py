@@ -30,7 +30,9 @@ from koop_service.encoding.catalogue import Catalogue, ModelEntry
 from koop_service.encoding.weights import ModelCard, save_weights
 from koop_service.serving.config import EstimatorChoices
 from koop_service.serving.desk import Desk
+from koop_service.serving.durability.recovery import Recovery
 from koop_service.serving.intake import Intake
+from koop_service.serving.memory import Memory
 from koop_service.serving.metrics import Metrics
 from koop_service.serving.outbox import Outbox
 from koop_service.serving.refusals import Refusals
@@ -38,7 +40,7 @@ from koop_service.serving.registry import Registry
 from koop_service.serving.replies import Replies
 from koop_service.serving.steering.commander import Commander
 from koop_service.serving.steering.tasks import Tasks
-from koop_service.serving.strain import QUEUE, Strain
+from koop_service.serving.strain import MEMORY, QUEUE, Strain
 from koop_service.serving.vitals import Vitals
 
 FOREVER = 60.0
@@ -83,11 +85,18 @@ class Office:
         self.intake: Intake = Intake(100, 1 << 20, 50)
         commander = Commander(Tasks(), registry, lambda *_: None, self.metrics)
         self.queue = Strain(QUEUE, self.metrics)
-        self.vitals = Vitals("here:1", self.intake, registry)
+        memory = Memory(0, Strain(MEMORY, self.metrics))
+        self.vitals = Vitals("here:1", self.intake, registry, self.queue, memory)
         self.outbox = Outbox(self.order.append, lambda: None)
-        replies = Replies(commander, Limits())
         self.desk = Desk(
-            self.intake, registry, replies, self.outbox, self.metrics, self.vitals, [self.queue]
+            self.intake,
+            registry,
+            Replies(commander, Limits()),
+            Recovery(registry, lambda _: None, self.metrics, Limits(), 2),
+            self.outbox,
+            self.metrics,
+            self.vitals,
+            [self.queue],
         )
 
     def ask(self, *callers: Caller) -> list[list]:
@@ -144,7 +153,7 @@ def test_an_overload_sheds_what_costs_much_and_nothing_else(office: Office) -> N
     forecast, states, health = (caller.got for caller in cheap)
     assert isinstance(forecast[0], PredictReply)
     assert [type(answer) for answer in states] == [StateReply, StateReply, type(None)]
-    assert health[0].degraded == ()
+    assert health[0].degraded == (OVERLOADED,)
     for caller in steering:  # not actuated and nobody's: refused on their merits
         assert caller.got[0].code != "overloaded"
     assert office.metrics.value("koop_shed_total", reason=OVERLOADED) == len(costly)
