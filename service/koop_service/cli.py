@@ -25,13 +25,17 @@ from koop_service.encoding.catalogue import Catalogue, ModelEntry, bundled_or_ow
 from koop_service.serving import logs
 from koop_service.serving.config import ServiceConfig
 from koop_service.serving.desk import Desk
+from koop_service.serving.durability.archive import Archive
 from koop_service.serving.durability.keeper import Keeper
 from koop_service.serving.durability.lmdb_store import LmdbStore
 from koop_service.serving.durability.log_reader import LogReader
 from koop_service.serving.durability.recovery import Recovery
 from koop_service.serving.durability.snapshotter import Snapshotter
 from koop_service.serving.durability.store import EVERY_SHARD
-from koop_service.serving.endpoint import Endpoint, put_command, put_durable
+from koop_service.serving.endings import Endings
+from koop_service.serving.endpoint import Endpoint, put_command, put_durable, put_notice
+from koop_service.serving.equipment import settings_for
+from koop_service.serving.eviction import Eviction
 from koop_service.serving.intake import Intake
 from koop_service.serving.measurements import Measurements
 from koop_service.serving.memory import Memory
@@ -43,7 +47,7 @@ from koop_service.serving.pipeline import Pipeline
 from koop_service.serving.process import limit_arenas
 from koop_service.serving.questions import Question
 from koop_service.serving.refusals import Refusals
-from koop_service.serving.registry import Registry, settings_for
+from koop_service.serving.registry import Registry
 from koop_service.serving.rehearsal import rehearse
 from koop_service.serving.replies import Replies
 from koop_service.serving.session import UnreachableError, locators, open_session
@@ -115,13 +119,14 @@ def running(config: ServiceConfig, session: zenoh.Session) -> Iterator[Service]:
     )
     with closing(LmdbStore(config.state_folder)) as store:
         claim = store.claim(f"koop-serve {worker_name()}", EVERY_SHARD)
-        restored = registry.restore(store.load(EVERY_SHARD))
+        restored = registry.restore(store.load(EVERY_SHARD, config.limits.max_trajectories))
         _prepare(registry, catalogue, config.compute.batch)
         keeper = Keeper(store, claim, partial(put_durable, session), metrics)
         with ExitStack() as stack:
             keeper.start()
             stack.callback(keeper.stop)
-            with _started(config, session, registry, refusals, metrics, keeper):
+            archive = Archive(store.find)
+            with _started(config, session, registry, refusals, metrics, keeper, archive):
                 port = _serve_metrics(config, metrics, stack)
                 yield Service(locators(session), catalogue, metrics, port, restored)
 
@@ -134,6 +139,7 @@ def _started(
     refusals: Refusals,
     metrics: Metrics,
     keeper: Keeper,
+    archive: Archive,
 ) -> Iterator[None]:
     """Intake, pipeline, outbox and all that they need, wired together; then the last snapshots."""
     limits = config.limits
@@ -145,10 +151,19 @@ def _started(
     reader = LogReader(session, intake.tell, wire.for_replays().max_message_bytes)
     recovery = Recovery(registry, reader.ask, metrics, wire, 2 * limits.max_trajectories)
     every = config.durability.snapshot_every
-    snapshotter = Snapshotter(registry, keeper, recovery.is_logged, every)
+    snapshotter = Snapshotter(registry, keeper, archive, recovery.is_logged, every)
     tasks = Tasks()
     commander = Commander(tasks, registry, partial(put_command, session), metrics)
     queue, memory = Strain(QUEUE, metrics), Memory(limits.max_memory, Strain(MEMORY, metrics))
+    eviction = Eviction(
+        registry,
+        snapshotter,
+        metrics,
+        limits.evict_after,
+        lambda name: tasks.find(name) is not None,
+        lambda: memory.strain.active,
+    )
+    registry.ended = Endings(partial(put_notice, session)).tell
     vitals = Vitals(worker_name(), intake, registry, queue, memory)
     vitals.watch(NOT_DURABLE, lambda: not keeper.is_durable)
     vitals.watch(CATCHING_UP, lambda: recovery.behind > 0)
@@ -164,6 +179,7 @@ def _started(
         vitals,
         recovery,
         snapshotter,
+        eviction,
         config.compute.batch,
         metrics.lost.inc,
     )

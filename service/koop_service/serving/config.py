@@ -141,7 +141,10 @@ class LimitSettings:
     """What the service is willing to take."""
 
     max_trajectories: int = 10_000
-    """Trajectories held at once; frames of a further one are rejected."""
+    """Trajectories in memory at once; for a further one the longest idle goes to disk."""
+    evict_after: float = 900.0
+    """Time without a message or a query after which a trajectory leaves memory for the disk [s];
+    the next one brings it back, with the same bits. 0: none leaves, but to make room."""
     queue_messages: int = 2048
     """Measurements waiting at once; then the sources are held back, nothing is dropped."""
     queue_bytes: int = 64 << 20
@@ -152,9 +155,9 @@ class LimitSettings:
     max_query_rate: int = 1000
     """Predictions a second on one key; further ones are answered 'overloaded'. 0 is no limit."""
     max_memory: int = 0
-    """Memory of the process [bytes] from which on no new trajectory is let in and costly
-    predictions are answered 'overloaded'; 0 is no limit. A container's limit should be a fifth
-    larger."""
+    """Memory of the process [bytes] from which on a further trajectory takes another's place and
+    costly predictions are answered 'overloaded'; 0 is no limit. A container's own limit should be a
+    fifth larger."""
     max_message_bytes: int = 4 << 20
     """Largest message [bytes]."""
     max_horizon: int = 1000
@@ -163,6 +166,8 @@ class LimitSettings:
     def __post_init__(self) -> None:
         for name in ("max_trajectories", "queue_messages", "queue_queries", "max_horizon"):
             _require_at_least(name, getattr(self, name), 1)
+        if not 0 <= self.evict_after < math.inf:
+            raise ValueError(f"evict_after is {self.evict_after}; expected 0 or more seconds")
         for name in ("max_query_rate", "max_memory"):
             _require_at_least(name, getattr(self, name), 0)
         if self.max_memory and not tells_memory():

@@ -192,9 +192,9 @@ class Desk:
 
     def _answer_one_of_several(self, question: Question, answer: Answer, name: str) -> None:
         """An answer or an error for this one; the others get theirs in any case."""
-        trajectory = self._registry.find(name)
+        trajectory = self._registry.held(name)
         if trajectory is None:
-            return
+            return  # it was evicted between two answers
         try:
             self._send(question, answer, trajectory)
         except ProtocolError as error:

@@ -123,6 +123,11 @@ def put_durable(session: zenoh.Session, key: str, payload: bytes) -> None:
     session.put(key, payload, congestion_control=zenoh.CongestionControl.BLOCK)
 
 
+def put_notice(session: zenoh.Session, key: str, payload: bytes) -> None:
+    """Send what may be lost, and must not hold anybody up."""
+    session.put(key, payload, congestion_control=zenoh.CongestionControl.DROP)
+
+
 def put_command(session: zenoh.Session, key: str, payload: bytes) -> None:
     """Send a command ahead of everything else, at once or not at all: an old one is of no use."""
     session.put(

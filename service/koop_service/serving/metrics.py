@@ -21,6 +21,8 @@ class Metrics:
         self.lost = self._counter("lost", "Messages taken in and then lost by a fault of ours")
         self.refused = self._counter("refused", "Queries answered by an error, by code", ["code"])
         self.unsent = self._counter("unsent", "Answers given up because callers did not read them")
+        self.evicted = self._counter("evicted", "Trajectories that left memory for the disk")
+        self.revived = self._counter("revived", "Trajectories that came back from the disk")
         self.shed = self._counter("shed", "Queries refused to make room, by reason", ["reason"])
         self.stuck = self._counter("stuck", "Times the pipeline stood still for too long")
         self.held = self._counter("held", "Times a source was held back by a full queue")

@@ -17,6 +17,7 @@ from collections.abc import Callable
 from koop_service.serving.desk import Desk
 from koop_service.serving.durability.recovery import Recovery
 from koop_service.serving.durability.snapshotter import Snapshotter
+from koop_service.serving.eviction import Eviction
 from koop_service.serving.intake import Arrival, Intake
 from koop_service.serving.measurements import Measurements
 from koop_service.serving.questions import Question
@@ -49,6 +50,7 @@ class Pipeline:
         vitals: Vitals,
         recovery: Recovery,
         snapshotter: Snapshotter,
+        eviction: Eviction,
         batch: int,
         lost: Callable[[int], None],
     ) -> None:
@@ -59,6 +61,7 @@ class Pipeline:
         self._vitals = vitals
         self._recovery = recovery
         self._snapshotter = snapshotter
+        self._eviction = eviction
         self._batch = batch
         self._lost = lost
         self._stopping = threading.Event()
@@ -91,6 +94,7 @@ class Pipeline:
         self._replay()
         self._process(self._intake.take(self._batch))
         self._snapshotter.step()
+        self._eviction.step()
 
     def _process(self, arrivals: list[Arrival]) -> None:
         if arrivals:
