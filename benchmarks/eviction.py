@@ -28,7 +28,7 @@ from koop_service.serving.durability.snapshotter import Snapshotter
 from koop_service.serving.durability.store import EVERY_SHARD
 from koop_service.serving.eviction import Eviction
 from koop_service.serving.metrics import Metrics
-from koop_service.serving.process import resident_bytes
+from koop_service.serving.process import own_bytes
 from koop_service.serving.refusals import Refusals
 from koop_service.serving.registry import Registry
 
@@ -55,14 +55,14 @@ def measure(folder: Path, trajectories: int, places: int, rounds: int) -> None:
     eviction = Eviction(registry, snapshotter, metrics, 0.0, lambda _: False, lambda: False)
     keeper.start()
     codes = np.random.default_rng(0).normal(size=(rounds, 8))
-    before, seconds = resident_bytes(), []
+    before, seconds = own_bytes(), []
     for seq, code in enumerate(codes):
         start = time.process_time()
         for number in range(trajectories):
             show(registry, snapshotter, Frame(f"t/{number}", "0" * 16, seq, 0, PICTURE, "b"), code)
             eviction.step()
         seconds.append(time.process_time() - start)
-    grown = resident_bytes() - before
+    grown = own_bytes() - before
     snapshotter.finish()
     keeper.stop()
     store.close()

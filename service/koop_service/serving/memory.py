@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 
-from koop_service.serving.process import resident_bytes
+from koop_service.serving.process import own_bytes
 from koop_service.serving.strain import Strain
 
 _EVERY = 0.5
@@ -13,13 +13,13 @@ _EVERY = 0.5
 
 
 class Memory:
-    """Compares the resident set with `limit` [bytes], 0 for none; the strain knows what follows."""
+    """Compares the process's own memory with `limit` [bytes], 0 for none; the strain knows what follows."""
 
     def __init__(
         self,
         limit: int,
         strain: Strain,
-        read: Callable[[], int] = resident_bytes,
+        read: Callable[[], int] = own_bytes,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self.strain = strain

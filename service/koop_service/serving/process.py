@@ -30,6 +30,8 @@ def tells_memory() -> bool:
     return _STATM.exists()
 
 
-def resident_bytes() -> int:
-    """The process's resident set."""
-    return int(_STATM.read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
+def own_bytes() -> int:
+    """The process's memory that only swapping could free: without pages of files, such as LMDB's,
+    which the system drops when it needs them."""
+    _, resident, of_files, *_ = map(int, _STATM.read_text().split())
+    return (resident - of_files) * os.sysconf("SC_PAGE_SIZE")
