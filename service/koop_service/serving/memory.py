@@ -13,7 +13,7 @@ _EVERY = 0.5
 
 
 class Memory:
-    """Compares the process's own memory with `limit` [bytes], 0 for none; the strain knows what follows."""
+    """Compares the process's own memory with `limit` [bytes], 0 for none, for the strain."""
 
     def __init__(
         self,
