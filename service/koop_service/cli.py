@@ -51,6 +51,7 @@ from koop_service.serving.registry import Registry
 from koop_service.serving.rehearsal import rehearse
 from koop_service.serving.replies import Replies
 from koop_service.serving.session import UnreachableError, locators, open_session
+from koop_service.serving.shedding import Shedding
 from koop_service.serving.steering.commander import Commander
 from koop_service.serving.steering.tasks import Tasks
 from koop_service.serving.strain import MEMORY, QUEUE, Strain
@@ -169,7 +170,8 @@ def _started(
     vitals.watch(CATCHING_UP, lambda: recovery.behind > 0)
     strains = (queue, memory.strain)
     replies = Replies(commander, wire)
-    desk = Desk(intake, registry, replies, recovery, outbox, metrics, vitals, strains)
+    shedding = Shedding(replies, strains)
+    desk = Desk(intake, registry, replies, recovery, outbox, metrics, vitals, shedding)
     measurements = Measurements(registry, refusals, recovery, metrics, wire, snapshotter.note)
     pipeline = Pipeline(
         intake,
@@ -185,7 +187,8 @@ def _started(
     )
     _watch(metrics, intake, registry, tasks, strains)
     _watch_durability(metrics, recovery, snapshotter, keeper)
-    endpoint = Endpoint(intake, metrics, limits.max_message_bytes, Pace(limits.max_query_rate))
+    pace = Pace(limits.max_query_rate)
+    endpoint = Endpoint(intake, metrics, limits.max_message_bytes, pace, shedding)
     with ExitStack() as stack:
         outbox.start()
         stack.callback(outbox.stop, _LAST_ANSWERS)

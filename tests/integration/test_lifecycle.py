@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+import pytest
 import zenoh
 from integration.loopback import Loop, Source, config_for, loop, wait_until
 
@@ -15,10 +16,12 @@ from koop_protocol import (
     PredictReply,
     StateReply,
     TrajectoryEnd,
+    decode,
     decode_as,
     source_token,
     state_key,
 )
+from koop_service.serving.strain import Strain
 
 
 @contextmanager
@@ -69,6 +72,29 @@ def test_more_than_have_room_all_stream_on(tmp_path: Path, model: Path) -> None:
         assert koop.lost() == 0
         assert len(koop.ask("koop/state/**")) == 2
         assert all(isinstance(answer, StateReply) for answer in koop.ask("koop/state/**"))
+
+
+def test_costly_predictions_are_turned_away_at_the_door(
+    koop: Loop, cart: Source, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with monkeypatch.context() as patch:
+        patch.setattr(Strain, "active", property(lambda _: True))
+        for selector in ("cart/0?return=frames", "cart/0?return=codes,std", "**?horizon=2"):
+            refusal = koop.ask_one(f"koop/predict/{selector}")
+            assert isinstance(refusal, ErrorReply)
+            assert (refusal.code, refusal.details["retry_after"]) == ("overloaded", 1.0)
+        assert isinstance(koop.ask_one(f"koop/predict/{cart.name}"), PredictReply)
+        assert koop.state(cart.name).frames == 40
+    assert isinstance(koop.ask_one("koop/predict/cart/0?return=frames"), PredictReply)
+    assert koop.service.metrics.value("koop_shed_total", reason="overloaded") == 3
+
+
+def test_predictions_have_a_pace(tmp_path: Path, model: Path) -> None:
+    with loop(config_for(tmp_path, model, max_query_rate=1)) as koop:
+        first, *others = [koop.session.get("koop/predict/cart/0", timeout=30) for _ in range(20)]
+        assert [r.ok for r in first] == [None]  # unknown, and told so
+        told = [decode(r.err.payload.to_bytes()) for replies in others for r in replies]
+        assert {"rate"} <= {refusal.details.get("reason") for refusal in told}
 
 
 def test_a_new_epoch_and_a_source_that_goes_are_told(koop: Loop) -> None:

@@ -14,7 +14,7 @@ from __future__ import annotations
 import logging
 import time
 from collections import deque
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 from koop_protocol import (
@@ -36,7 +36,7 @@ from koop_service.serving.outbox import Outbox
 from koop_service.serving.questions import Question, error_bytes, is_wildcard
 from koop_service.serving.registry import Registry
 from koop_service.serving.replies import Answer, Replies
-from koop_service.serving.strain import Strain
+from koop_service.serving.shedding import Shedding
 from koop_service.serving.trajectories import Trajectory
 from koop_service.serving.vitals import Vitals
 
@@ -72,7 +72,7 @@ class Desk:
         outbox: Outbox,
         metrics: Metrics,
         vitals: Vitals,
-        strains: Sequence[Strain] = (),
+        shedding: Shedding,
     ) -> None:
         self._intake = intake
         self._registry = registry
@@ -81,7 +81,7 @@ class Desk:
         self._outbox = outbox
         self._metrics = metrics
         self._vitals = vitals
-        self._strains = strains
+        self._shedding = shedding
         self._pending: dict[KeyKind, deque[_Pending]] = {kind: deque() for kind in _TURNS}
         self._brake = Brake()
 
@@ -137,7 +137,7 @@ class Desk:
         return (pending for queue in self._pending.values() for pending in queue)
 
     def _is_due(self, pending: _Pending) -> bool:
-        if pending.answers is not None or self._strain_against(pending.question) is not None:
+        if pending.answers is not None or self._shedding.forbids(pending.question):
             return True
         behind = self._intake.is_behind(pending.ticket, pending.lane)
         return not behind and not self._waits(pending)
@@ -173,9 +173,9 @@ class Desk:
         return True
 
     def _answers(self, question: Question) -> Iterator[None]:
-        strain = self._strain_against(question)
-        if strain is not None:
-            raise strain.refuse()
+        refusal = self._shedding.refusal(question)
+        if refusal is not None:
+            raise refusal
         answer = self._replies.understand(question).answer
         if not is_wildcard(question):
             yield self._send(question, answer, self._find(_name_in(question)))
@@ -206,13 +206,6 @@ class Desk:
             )
         except Exception:
             self._fail(question)
-
-    def _strain_against(self, question: Question) -> Strain | None:
-        """What forbids to answer this question at present."""
-        for strain in self._strains:
-            if strain.active and self._replies.is_costly(question):
-                return strain
-        return None
 
     def _send(self, question: Question, answer: Answer, trajectory: Trajectory) -> None:
         key = _KEYS[question.kind](trajectory.name)

@@ -28,6 +28,7 @@ from koop_service.serving.intake import Intake, Presence
 from koop_service.serving.metrics import Metrics
 from koop_service.serving.pace import Pace
 from koop_service.serving.questions import Question, ZenohQuestion, error_bytes
+from koop_service.serving.shedding import Shedding
 from koop_service.serving.strain import RETRY_AFTER
 
 log = logging.getLogger("koop.endpoint")
@@ -46,12 +47,18 @@ class Endpoint:
     """What the service hears: frames, controls, queries, and who is there."""
 
     def __init__(
-        self, intake: Intake[Question], metrics: Metrics, max_bytes: int, pace: Pace
+        self,
+        intake: Intake[Question],
+        metrics: Metrics,
+        max_bytes: int,
+        pace: Pace,
+        shedding: Shedding,
     ) -> None:
         self._intake = intake
         self._metrics = metrics
         self._max_bytes = max_bytes
         self._pace = pace
+        self._shedding = shedding
 
     @contextmanager
     def declared(self, session: zenoh.Session) -> Iterator[None]:
@@ -105,15 +112,18 @@ class Endpoint:
             question = ZenohQuestion(kind, query, self._max_bytes)
             wait = self._pace.wait(question.key) if kind is KeyKind.predict else 0.0
             if wait:
-                self._shed(question, _BY_RATE, _too_often(wait))
+                self._metrics.shed.labels(_BY_RATE).inc()
+                self._refuse(question, _too_often(wait))
+            elif (refusal := self._shedding.refusal(question)) is not None:
+                self._refuse(question, refusal)
             elif not self._intake.ask(question, question.size, kind):
-                self._shed(question, _BY_COUNT, _too_many())
+                self._metrics.shed.labels(_BY_COUNT).inc()
+                self._refuse(question, _too_many())
 
         return ask
 
-    def _shed(self, question: Question, reason: str, error: ProtocolError) -> None:
+    def _refuse(self, question: Question, error: ProtocolError) -> None:
         self._metrics.refused.labels(str(error.code)).inc()
-        self._metrics.shed.labels(reason).inc()
         question.refuse(error_bytes(error))
         question.close()
 

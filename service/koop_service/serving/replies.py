@@ -40,7 +40,7 @@ class Reply:
 
 
 class Replies:
-    """Understands questions; owned by the pipeline's thread."""
+    """Understands questions, in any thread; what answers them is for the pipeline's alone."""
 
     def __init__(self, commander: Commander, limits: Limits) -> None:
         self._commander = commander

@@ -38,6 +38,7 @@ from koop_service.serving.outbox import Outbox
 from koop_service.serving.refusals import Refusals
 from koop_service.serving.registry import Registry
 from koop_service.serving.replies import Replies
+from koop_service.serving.shedding import Shedding
 from koop_service.serving.steering.commander import Commander
 from koop_service.serving.steering.tasks import Tasks
 from koop_service.serving.strain import MEMORY, QUEUE, Strain
@@ -88,15 +89,16 @@ class Office:
         memory = Memory(0, Strain(MEMORY, self.metrics))
         self.vitals = Vitals("here:1", self.intake, registry, self.queue, memory)
         self.outbox = Outbox(self.order.append, lambda: None)
+        replies = Replies(commander, Limits())
         self.desk = Desk(
             self.intake,
             registry,
-            Replies(commander, Limits()),
+            replies,
             Recovery(registry, lambda _: None, self.metrics, Limits(), 2),
             self.outbox,
             self.metrics,
             self.vitals,
-            [self.queue],
+            Shedding(replies, [self.queue]),
         )
 
     def ask(self, *callers: Caller) -> list[list]:
