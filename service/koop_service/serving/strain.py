@@ -44,7 +44,7 @@ MEMORY = Kind(SHORT_OF_MEMORY, "the process is near its limit of memory", Bounds
 
 
 class Strain:
-    """Watches one level, in the pipeline's thread; any may read `active`, one at a time `refuse`."""
+    """Watches one level, in the pipeline's thread; any may read `active`, one at a time refuse."""
 
     def __init__(
         self, kind: Kind, metrics: Metrics, clock: Callable[[], float] = time.monotonic

@@ -14,7 +14,6 @@ from dataclasses import dataclass, field
 from itertools import count
 
 from koop_protocol import (
-    DEFAULT_BATCH_BYTES,
     Control,
     Frame,
     Limits,
@@ -188,13 +187,13 @@ class Recovery:
                 self._ask_one(source)
 
     def _ask_one(self, source: _Source) -> None:
-        most = min(DEFAULT_BATCH_BYTES, self._limits.max_message_bytes)
         try:
             trajectory = self._registry.find(source.name)
         except ProtocolError as error:  # no room in memory, or its state cannot be read
             self._fail(source, str(error))
             return
-        query = source.catch_up.question(trajectory, most)
+        # Whatever may come alone fits into an answer, and what may not would be refused anyway.
+        query = source.catch_up.question(trajectory, self._limits.max_message_bytes)
         source.asked = next(self._numbers)
         self._metrics.replays.inc()
         self._ask(LogQuestion(source.asked, source.name, query))
