@@ -153,6 +153,7 @@ class Recovery:
         source = self._sources.get(presence.trajectory)
         if source is not None:
             source.here = False
+            self._registry.tell_gone(presence.trajectory)
 
     def _source(self, name: str) -> _Source | None:
         """The source of that name, new where there is room for it."""
@@ -186,9 +187,13 @@ class Recovery:
                 self._ask_one(source)
 
     def _ask_one(self, source: _Source) -> None:
+        try:
+            trajectory = self._registry.find(source.name)
+        except ProtocolError as error:  # no room in memory, or its state cannot be read
+            self._fail(source, str(error))
+            return
         # Whatever may come alone fits into an answer, and what may not would be refused anyway.
-        most = self._limits.max_message_bytes
-        query = source.catch_up.question(self._registry.find(source.name), most)
+        query = source.catch_up.question(trajectory, self._limits.max_message_bytes)
         source.asked = next(self._numbers)
         self._metrics.replays.inc()
         self._ask(LogQuestion(source.asked, source.name, query))
