@@ -16,8 +16,10 @@ import zenoh
 from numpy.typing import ArrayLike
 
 from koop_protocol import (
+    HEALTH,
     PREDICTIONS,
     ErrorReply,
+    Health,
     Limits,
     LqrCancel,
     LqrEnd,
@@ -44,7 +46,7 @@ DEFAULT_TIMEOUT = 2.0  # s
 # more than this from Zenoh.
 _LIMITS = Limits(max_message_bytes=64 << 20)
 
-R = TypeVar("R", PredictReply, LqrReply, LqrEnd, StateReply)
+R = TypeVar("R", PredictReply, LqrReply, LqrEnd, StateReply, Health)
 
 
 class KoopError(Exception):
@@ -145,6 +147,17 @@ class KoopClient:
         """How the trajectory's estimator stands."""
         return self._ask(StateReply, state_key(trajectory), None, timeout)
 
+    def health(self, *, timeout: float | None = None) -> list[Health]:
+        """What each worker says of itself; one that is stuck says nothing, and takes the timeout.
+
+        Raises KoopError (no_reply) where none answered.
+        """
+        answers = self._answers(Health, HEALTH, None, timeout)
+        found = [answer for answer in answers if isinstance(answer, Health)]
+        if not found:
+            raise _no_reply(HEALTH, self._seconds(timeout))
+        return found
+
     def _ask(self, kind: type[R], key: str, payload: bytes | None, timeout: float | None) -> R:
         """The first answer; a refusal only counts once every worker has spoken."""
         refusal: KoopError | None = None
@@ -206,5 +219,6 @@ def _no_reply(key: str, seconds: float) -> KoopError:
     return KoopError(
         NO_REPLY,
         f"nobody answered on {key} (waiting up to {seconds:g} s); check that `koop-serve` runs, "
-        "and that this session is connected to it",
+        "that this session is connected to it and, where the hub has access rules, that they let "
+        "this certificate ask",
     )
