@@ -9,9 +9,9 @@ import signal
 import socket
 import sys
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack, closing, contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 # The service's matrices are small, and threads for them would fight with the encoder's over the
@@ -26,8 +26,7 @@ from koop_service.encoding.catalogue import Catalogue, ModelEntry, bundled_or_ow
 from koop_service.serving import logs
 from koop_service.serving.config import ServiceConfig
 from koop_service.serving.desk import Desk
-from koop_service.serving.durability.lmdb_store import LmdbStore
-from koop_service.serving.durability.store import EVERY_SHARD
+from koop_service.serving.durability.opening import claim_and_load, open_store
 from koop_service.serving.endpoint import Endpoint, put_command
 from koop_service.serving.intake import Intake
 from koop_service.serving.measurements import Measurements
@@ -35,6 +34,10 @@ from koop_service.serving.metrics import Metrics
 from koop_service.serving.options import read_options
 from koop_service.serving.outbox import Outbox
 from koop_service.serving.pipeline import Pipeline
+from koop_service.serving.placement.member import Orders, report
+from koop_service.serving.placement.ownership import Ownership
+from koop_service.serving.placement.settings import PlacementSettings
+from koop_service.serving.placement.supervisor import supervise
 from koop_service.serving.process import limit_arenas
 from koop_service.serving.questions import Question
 from koop_service.serving.refusals import Refusals
@@ -71,9 +74,18 @@ def main() -> None:
     try:
         config = read_options(sys.argv[1:])
         logs.configure(config.monitoring.log_format, config.monitoring.log_level)
-        sys.exit(serve(config))
+        sys.exit(_engine(config)(config))
     except (OSError, ValueError) as error:
         sys.exit(f"koop-serve: {error}")
+
+
+def _engine(config: ServiceConfig) -> Callable[[ServiceConfig], int]:
+    """Who runs the service: this process, or workers that it starts."""
+    if config.placement.ray:
+        from koop_service.serving.placement.ray_engine import run_on_ray  # an extra: only if asked
+
+        return run_on_ray
+    return serve if config.placement.workers is None else supervise
 
 
 def serve(config: ServiceConfig) -> int:
@@ -81,18 +93,58 @@ def serve(config: ServiceConfig) -> int:
     stop = threading.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: stop.set())
+    if config.placement.told_later:
+        return _serve_as_told(config, stop)
     session = _reach(config, stop)
     if session is None:
         return 0
-    with session, running(config, session) as service:
+    with session, running(config, session, stop=stop) as service:
         print(_greeting(service), flush=True)
         stop.wait()
     return 0
 
 
-@contextmanager
-def running(config: ServiceConfig, session: zenoh.Session) -> Iterator[Service]:
-    """The service on an open session, until the context ends; then its state is stored."""
+def _serve_as_told(config: ServiceConfig, stop: threading.Event) -> int:
+    """Load everything, and serve once a supervisor has said which worker this is to be."""
+    equipment = equip(config)
+    told = _told(config, stop)
+    session = None if told is None else _reach(told, stop)
+    if told is None or session is None:
+        return 0
+    with session, running(told, session, equipment, stop) as service:
+        worker, port = told.placement.worker, service.metrics_port
+        report("ready", worker=worker, metrics_port=port, restored=service.restored)
+        stop.wait()
+    return 0
+
+
+def _told(config: ServiceConfig, stop: threading.Event) -> ServiceConfig | None:
+    """The settings of the worker that the supervisor's line names; None if it says stop."""
+    orders = Orders(stop)
+    report("prepared")
+    worker = orders.next()
+    if worker is None:
+        return None
+    port = config.monitoring.metrics_port
+    if port:  # a port for each
+        port += int(worker.split("/")[0])
+    monitoring = replace(config.monitoring, metrics_port=port)
+    logs.configure(monitoring.log_format, monitoring.log_level, worker)
+    return replace(config, placement=PlacementSettings(worker=worker), monitoring=monitoring)
+
+
+@dataclass(frozen=True)
+class Equipment:
+    """All that takes its time to load, and does not depend on the shards."""
+
+    catalogue: Catalogue
+    metrics: Metrics
+    refusals: Refusals
+    registry: Registry
+
+
+def equip(config: ServiceConfig) -> Equipment:
+    """Load the models, and do everything once, so that nobody waits for it later."""
     catalogue = _catalogue(config)
     torch.set_num_threads(config.compute.threads)
     metrics = Metrics()
@@ -104,28 +156,48 @@ def running(config: ServiceConfig, session: zenoh.Session) -> Iterator[Service]:
         config.limits.max_trajectories,
         config.compute.device,
     )
-    with closing(LmdbStore(config.state_folder)) as store:
-        claim = store.claim(f"koop-serve {socket.gethostname()}:{os.getpid()}", EVERY_SHARD)
-        restored = registry.restore(store.load(EVERY_SHARD))
-        _prepare(registry, catalogue, config.compute.batch)
+    _prepare(registry, catalogue, config.compute.batch)
+    return Equipment(catalogue, metrics, refusals, registry)
+
+
+@contextmanager
+def running(
+    config: ServiceConfig,
+    session: zenoh.Session,
+    equipment: Equipment | None = None,
+    stop: threading.Event | None = None,
+) -> Iterator[Service]:
+    """The service on an open session, until the context ends; then its state is stored.
+
+    `stop` ends the wait for a store that is away, with SystemExit.
+    """
+    kit = equipment or equip(config)
+    ownership = config.placement.ownership()
+    with closing(open_store(config)) as store:
+        owner = f"koop-serve {socket.gethostname()}:{os.getpid()}"
+        taken = claim_and_load(store, owner, ownership.shards, stop or threading.Event())
+        if taken is None:
+            sys.exit(0)
+        claim, records = taken
+        restored = kit.registry.restore(records)
+        gc.freeze()  # what was restored lives long, too
         with ExitStack() as stack:
-            pipeline = _start(config, session, registry, refusals, metrics, stack)
-            port = _serve_metrics(config, metrics, stack)
-            yield Service(locators(session), catalogue, metrics, port, restored)
+            pipeline = _start(config, session, kit, ownership, stack)
+            port = _serve_metrics(config, kit.metrics, stack)
+            yield Service(locators(session), kit.catalogue, kit.metrics, port, restored)
         if pipeline.finished:
-            store.save(claim, registry.snapshot())
+            store.save(claim, kit.registry.snapshot())
 
 
 def _start(
     config: ServiceConfig,
     session: zenoh.Session,
-    registry: Registry,
-    refusals: Refusals,
-    metrics: Metrics,
+    kit: Equipment,
+    ownership: Ownership,
     stack: ExitStack,
 ) -> Pipeline:
     """Wire intake, pipeline and outbox together; the stack takes them down in reverse order."""
-    limits = config.limits
+    registry, metrics, limits = kit.registry, kit.metrics, config.limits
     wire = Limits(max_message_bytes=limits.max_message_bytes, max_horizon=limits.max_horizon)
     intake: Intake[Question] = Intake(
         limits.queue_messages, limits.queue_bytes, limits.queue_queries, metrics.held.inc
@@ -133,8 +205,8 @@ def _start(
     outbox = Outbox(lambda question: _finished(question, intake, metrics), metrics.unsent.inc)
     tasks = Tasks()
     commander = Commander(tasks, registry, partial(put_command, session), metrics)
-    desk = Desk(intake, registry, commander, outbox, metrics, wire)
-    measurements = Measurements(registry, refusals, metrics, wire)
+    desk = Desk(intake, registry, commander, outbox, metrics, wire, ownership)
+    measurements = Measurements(registry, kit.refusals, metrics, wire)
     pipeline = Pipeline(
         intake, measurements, desk, commander, config.compute.batch, metrics.lost.inc
     )
@@ -143,7 +215,7 @@ def _start(
     stack.callback(outbox.stop, _LAST_ANSWERS)
     pipeline.start()
     stack.callback(pipeline.stop, _LAST_BATCH)
-    endpoint = Endpoint(intake, metrics, limits.max_message_bytes)
+    endpoint = Endpoint(intake, metrics, limits.max_message_bytes, ownership)
     stack.enter_context(endpoint.declared(session))
     return pipeline
 

@@ -37,7 +37,8 @@ from koop_service.serving.intake import Intake
 from koop_service.serving.logs import Brake
 from koop_service.serving.metrics import Metrics
 from koop_service.serving.outbox import Outbox
-from koop_service.serving.questions import Question, error_bytes, is_wildcard
+from koop_service.serving.placement.ownership import Ownership
+from koop_service.serving.questions import Question, error_bytes, is_wildcard, name_in
 from koop_service.serving.registry import Registry
 from koop_service.serving.steering.commander import Commander
 from koop_service.serving.trajectories import Trajectory
@@ -70,7 +71,9 @@ class Desk:
         outbox: Outbox,
         metrics: Metrics,
         limits: Limits,
+        ownership: Ownership | None = None,
     ) -> None:
+        self._ownership = ownership or Ownership()
         self._intake = intake
         self._registry = registry
         self._commander = commander
@@ -84,7 +87,7 @@ class Desk:
         """Take in the questions that have come."""
         for waiting in self._intake.take_queries():
             question = waiting.query
-            lane = None if is_wildcard(question) else _name_in(question)
+            lane = None if is_wildcard(question) else name_in(question)
             self._pending.append(_Pending(question, waiting.ticket, lane))
 
     @property
@@ -147,12 +150,23 @@ class Desk:
         return True
 
     def _answers(self, question: Question) -> Iterator[None]:
-        answer = self._understand(question)
-        if not is_wildcard(question):
-            yield self._send(question, answer, self._find(_name_in(question)))
+        if is_wildcard(question):
+            yield from self._answers_of_several(question)
+        else:
+            answer = self._understand(question)
+            yield self._send(question, answer, self._find(name_in(question)))
+
+    def _answers_of_several(self, question: Question) -> Iterator[None]:
+        """One each. Where other workers hear the question too, one of all complains about it, and
+        none knows that there is no such trajectory."""
+        try:
+            answer = self._understand(question)
+        except ProtocolError:
+            if self._ownership.speaks_for_all:
+                raise
             return
         names = [n for n in self._registry.names() if question.matches(_KEYS[question.kind](n))]
-        if not names:
+        if not names and self._ownership.whole:
             raise ProtocolError(
                 ErrorCode.unknown_trajectory,
                 f"no trajectory matches {question.key!r}",
@@ -233,10 +247,6 @@ class Desk:
             remedy="please report it",
         )
         self._refuse(question, error)
-
-
-def _name_in(question: Question) -> str:
-    return question.key.split("/", 2)[-1]
 
 
 def _required(payload: bytes | None) -> bytes:

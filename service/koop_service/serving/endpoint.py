@@ -22,7 +22,14 @@ from koop_protocol import (
 )
 from koop_service.serving.intake import Intake, Presence
 from koop_service.serving.metrics import Metrics
-from koop_service.serving.questions import Question, ZenohQuestion, error_bytes
+from koop_service.serving.placement.ownership import Ownership
+from koop_service.serving.questions import (
+    Question,
+    ZenohQuestion,
+    error_bytes,
+    is_wildcard,
+    name_in,
+)
 
 log = logging.getLogger("koop.endpoint")
 
@@ -32,16 +39,23 @@ _QUERYABLES = {PREDICTIONS: KeyKind.predict, LQRS: KeyKind.lqr, STATES: KeyKind.
 class Endpoint:
     """What the service hears: frames, controls, queries, and who is there."""
 
-    def __init__(self, intake: Intake[Question], metrics: Metrics, max_bytes: int) -> None:
+    def __init__(
+        self,
+        intake: Intake[Question],
+        metrics: Metrics,
+        max_bytes: int,
+        ownership: Ownership | None = None,
+    ) -> None:
         self._intake = intake
         self._metrics = metrics
         self._max_bytes = max_bytes
+        self._ownership = ownership or Ownership()
 
     @contextmanager
     def declared(self, session: zenoh.Session) -> Iterator[None]:
         """Listen on the session as long as the context is open."""
         with ExitStack() as stack:
-            for key in (FRAMES, CONTROLS):
+            for key in self._ownership.keys(FRAMES) + self._ownership.keys(CONTROLS):
                 callback = zenoh.handlers.Callback(self._measure, indirect=False)
                 stack.enter_context(session.declare_subscriber(key, callback))
             callback = zenoh.handlers.Callback(self._notice, indirect=False)
@@ -75,6 +89,9 @@ class Endpoint:
     def _asker(self, kind: KeyKind) -> Callable[[zenoh.Query], None]:
         def ask(query: zenoh.Query) -> None:
             question = ZenohQuestion(kind, query, self._max_bytes)
+            if not is_wildcard(question) and not self._ownership.has(name_in(question)):
+                question.close()  # its owner answers
+                return
             if not self._intake.ask(question, question.size):
                 self._metrics.refused.labels(str(ErrorCode.overloaded)).inc()
                 question.refuse(error_bytes(_overloaded()))

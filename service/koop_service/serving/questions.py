@@ -81,6 +81,11 @@ def is_wildcard(question: Question) -> bool:
     return "*" in question.key or "$" in question.key
 
 
+def name_in(question: Question) -> str:
+    """The trajectory that the question is about, unless by wildcard."""
+    return question.key.split("/", 2)[-1]
+
+
 def error_bytes(error: ProtocolError) -> bytes:
     """The error as it travels; in short where it is itself too much for a message."""
     try:
