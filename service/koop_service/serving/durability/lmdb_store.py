@@ -1,18 +1,20 @@
 """The store on this machine: one LMDB file, kept open, one transaction a batch.
 
 A transaction is on the disk when it returns, and a kill at any moment leaves the one before or the
-one after. Several services may share the file: claims keep them apart.
+one after. Several services may share the file: claims keep them apart. Whoever opens it while
+nobody else has it open inspects it first; whoever joins them trusts what they do.
 """
 
 from __future__ import annotations
 
+import fcntl
 import logging
 import os
 import time
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, cast
+from typing import IO, Any, cast
 
 import lmdb
 import msgpack
@@ -29,6 +31,8 @@ from koop_service.serving.durability.store import Claim, FencedError, StoreError
 log = logging.getLogger("koop.snapshots")
 
 _FILE = "estimators.lmdb"
+_USERS = "estimators.lmdb-users"
+"""Locked by whoever has the file open, together, or alone to set it aside."""
 _FORMAT = b"koop-state-1"
 _FIRST_SIZE = 64 << 20
 """Size of the map to begin with [bytes]; it doubles when it is full. The file is not larger than
@@ -46,9 +50,11 @@ class LmdbStore:
         self._path = folder / _FILE
         self._environment: lmdb.Environment | None = None
         _prepare(folder)
-        self._set_aside_if_unfit()
+        self._users = (folder / _USERS).open("a")
+        if _is_first(self._users):
+            self._set_aside_if_unfit()
         with self._opened():
-            pass
+            fcntl.flock(self._users, fcntl.LOCK_SH)
 
     def claim(self, owner: str, shards: Collection[str]) -> Claim:
         """See SnapshotStore."""
@@ -92,6 +98,10 @@ class LmdbStore:
 
     def close(self) -> None:
         """See SnapshotStore."""
+        self._let_go()
+        self._users.close()
+
+    def _let_go(self) -> None:
         environment, self._environment = self._environment, None
         if environment is not None:
             environment.close()
@@ -128,7 +138,7 @@ class LmdbStore:
                 self._environment = _open(self._path)
             yield self._environment
         except lmdb.Error as error:
-            self.close()
+            self._let_go()
             raise StoreError(f"the state in {self._path} cannot be used: {error}") from error
 
     def _set_aside_if_unfit(self) -> None:
@@ -141,6 +151,16 @@ class LmdbStore:
             log.warning(
                 "the state in %s is left out: %s; it is kept as %s", self._path, reason, aside.name
             )
+
+
+def _is_first(users: IO[str]) -> bool:
+    """Lock the file's users: alone, or, once nobody is alone any more, together with the others."""
+    try:
+        fcntl.flock(users, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        fcntl.flock(users, fcntl.LOCK_SH)
+        return False
+    return True
 
 
 def _prepare(folder: Path) -> None:

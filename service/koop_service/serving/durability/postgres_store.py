@@ -10,7 +10,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from contextlib import contextmanager
-from typing import Any
+from typing import Any, LiteralString
 
 import psycopg
 from psycopg.conninfo import conninfo_to_dict
@@ -61,8 +61,8 @@ class PostgresStore:
         wanted = sorted(shards)
         with self._transaction() as cursor:
             cursor.execute(
-                "INSERT INTO koop_owners_1 SELECT shard, 'nobody', 0 FROM unnest(%s) AS shard "
-                "ON CONFLICT DO NOTHING",
+                "INSERT INTO koop_owners_1 SELECT shard, 'nobody', 0 "
+                "FROM unnest(%s::text[]) AS shard ON CONFLICT DO NOTHING",
                 (wanted,),
             )
             former = _owners(cursor, wanted, "UPDATE")
@@ -152,11 +152,12 @@ def _make_tables(connection: psycopg.Connection[Any]) -> None:
             cursor.execute(_TABLES)
 
 
-def _owners(cursor: psycopg.Cursor[Any], shards: list[str], strength: str) -> list[Claim]:
-    """Who has these shards; the rows are held until the transaction's end, always in one order."""
+def _owners(cursor: psycopg.Cursor[Any], shards: list[str], strength: LiteralString) -> list[Claim]:
+    """Who has each of these shards; the rows are held, always in one order, until the end."""
     query = "SELECT shard, owner, epoch FROM koop_owners_1 WHERE shard = ANY(%s) ORDER BY shard"
-    cursor.execute(f"{query} FOR {strength}", (shards,))  # pyright: ignore[reportArgumentType, reportCallIssue]
-    return [Claim(owner, epoch, frozenset({shard})) for shard, owner, epoch in cursor]
+    cursor.execute(query + " FOR " + strength, (shards,))
+    found = {shard: (owner, epoch) for shard, owner, epoch in cursor}
+    return [Claim(*found.get(shard, ("nobody", 0)), frozenset({shard})) for shard in shards]
 
 
 def _said(error: psycopg.Error) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import threading
+import time
 from collections.abc import Iterator
 from contextlib import closing
 
@@ -75,8 +76,8 @@ def test_a_batch_is_over_before_a_claim_or_it_is_refused(url: str) -> None:
 
         writer = threading.Thread(target=write)
         writer.start()
-        while len(saved) < 20:
-            pass
+        while len(saved) < 20 and writer.is_alive():
+            time.sleep(0.001)
         second.claim("second", {"00"})
         loaded = second.load({"00"})
         writer.join()
@@ -111,4 +112,4 @@ def test_refusals_are_explained_without_the_password(server: PostgresServer) -> 
         refused.load(EVERY_SHARD)
     assert "secret" not in str(told.value)
     with pytest.raises(ValueError, match="no PostgreSQL URL"):
-        PostgresStore("postgresql://host:port:port/")
+        PostgresStore("postgresql://%zz/")
