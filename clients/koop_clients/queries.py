@@ -201,5 +201,12 @@ def _no_reply(key: str, seconds: float) -> KoopError:
     return KoopError(
         NO_REPLY,
         f"nobody answered on {key} (waiting up to {seconds:g} s); check that `koop-serve` runs, "
-        "and that this session is connected to it",
+        f"and that this session is connected to it; of several workers, {_silent(key)}",
     )
+
+
+def _silent(key: str) -> str:
+    """What it means where they are there and none speaks."""
+    if "*" in key:
+        return "that no trajectory matches is for none of them to say"
+    return "the worker that has this trajectory may be restarting: ask again"
