@@ -26,15 +26,19 @@ from koop_service.encoding.catalogue import Catalogue, ModelEntry, bundled_or_ow
 from koop_service.serving import logs
 from koop_service.serving.config import ServiceConfig
 from koop_service.serving.desk import Desk
+from koop_service.serving.durability.keeper import Keeper
+from koop_service.serving.durability.log_reader import LogReader
 from koop_service.serving.durability.opening import claim_and_load, open_store
-from koop_service.serving.endpoint import Endpoint, put_command
+from koop_service.serving.durability.recovery import Recovery
+from koop_service.serving.durability.snapshotter import Snapshotter
+from koop_service.serving.endpoint import Endpoint, put_command, put_durable
 from koop_service.serving.intake import Intake
 from koop_service.serving.measurements import Measurements
 from koop_service.serving.metrics import Metrics
 from koop_service.serving.options import read_options
 from koop_service.serving.outbox import Outbox
 from koop_service.serving.pipeline import Pipeline
-from koop_service.serving.placement.member import Orders, report
+from koop_service.serving.placement.member import FENCED, Orders, report
 from koop_service.serving.placement.ownership import Ownership
 from koop_service.serving.placement.settings import PlacementSettings
 from koop_service.serving.placement.supervisor import supervise
@@ -66,6 +70,7 @@ class Service:
     metrics: Metrics
     metrics_port: int | None
     restored: int
+    keeper: Keeper
 
 
 def main() -> None:
@@ -101,7 +106,7 @@ def serve(config: ServiceConfig) -> int:
     with session, running(config, session, stop=stop) as service:
         print(_greeting(service), flush=True)
         stop.wait()
-    return 0
+    return FENCED if service.keeper.is_fenced else 0
 
 
 def _serve_as_told(config: ServiceConfig, stop: threading.Event) -> int:
@@ -115,7 +120,7 @@ def _serve_as_told(config: ServiceConfig, stop: threading.Event) -> int:
         worker, port = told.placement.worker, service.metrics_port
         report("ready", worker=worker, metrics_port=port, restored=service.restored)
         stop.wait()
-    return 0
+    return FENCED if service.keeper.is_fenced else 0
 
 
 def _told(config: ServiceConfig, stop: threading.Event) -> ServiceConfig | None:
@@ -169,55 +174,76 @@ def running(
 ) -> Iterator[Service]:
     """The service on an open session, until the context ends; then its state is stored.
 
-    `stop` ends the wait for a store that is away, with SystemExit.
+    `stop` ends the wait for a store that is away, with SystemExit; it is set when somebody else has
+    claimed this service's shards.
     """
-    kit = equipment or equip(config)
+    kit, stop = equipment or equip(config), stop or threading.Event()
     ownership = config.placement.ownership()
     with closing(open_store(config)) as store:
         owner = f"koop-serve {socket.gethostname()}:{os.getpid()}"
-        taken = claim_and_load(store, owner, ownership.shards, stop or threading.Event())
+        taken = claim_and_load(store, owner, ownership.shards, stop)
         if taken is None:
             sys.exit(0)
         claim, records = taken
         restored = kit.registry.restore(records)
         gc.freeze()  # what was restored lives long, too
+        keeper = Keeper(store, claim, partial(put_durable, session), kit.metrics, stop.set)
         with ExitStack() as stack:
-            pipeline = _start(config, session, kit, ownership, stack)
-            port = _serve_metrics(config, kit.metrics, stack)
-            yield Service(locators(session), kit.catalogue, kit.metrics, port, restored)
-        if pipeline.finished:
-            store.save(claim, kit.registry.snapshot())
+            keeper.start()
+            stack.callback(keeper.stop)
+            with _started(config, session, kit, ownership, keeper):
+                port = _serve_metrics(config, kit.metrics, stack)
+                where = locators(session)
+                yield Service(where, kit.catalogue, kit.metrics, port, restored, keeper)
 
 
-def _start(
+@contextmanager
+def _started(
     config: ServiceConfig,
     session: zenoh.Session,
     kit: Equipment,
     ownership: Ownership,
-    stack: ExitStack,
-) -> Pipeline:
-    """Wire intake, pipeline and outbox together; the stack takes them down in reverse order."""
+    keeper: Keeper,
+) -> Iterator[None]:
+    """Intake, pipeline, outbox and all that they need, wired together; then the last snapshots."""
     registry, metrics, limits = kit.registry, kit.metrics, config.limits
     wire = Limits(max_message_bytes=limits.max_message_bytes, max_horizon=limits.max_horizon)
     intake: Intake[Question] = Intake(
         limits.queue_messages, limits.queue_bytes, limits.queue_queries, metrics.held.inc
     )
     outbox = Outbox(lambda question: _finished(question, intake, metrics), metrics.unsent.inc)
+    reader = LogReader(session, intake.tell, wire.for_replays().max_message_bytes)
+    recovery = Recovery(registry, reader.ask, metrics, wire, 2 * limits.max_trajectories)
+    every = config.durability.snapshot_every
+    snapshotter = Snapshotter(registry, keeper, recovery.is_logged, every)
     tasks = Tasks()
     commander = Commander(tasks, registry, partial(put_command, session), metrics)
-    desk = Desk(intake, registry, commander, outbox, metrics, wire, ownership)
-    measurements = Measurements(registry, kit.refusals, metrics, wire)
+    desk = Desk(intake, registry, commander, recovery, outbox, metrics, wire, ownership)
+    measurements = Measurements(registry, kit.refusals, recovery, metrics, wire, snapshotter.note)
     pipeline = Pipeline(
-        intake, measurements, desk, commander, config.compute.batch, metrics.lost.inc
+        intake,
+        measurements,
+        desk,
+        commander,
+        recovery,
+        snapshotter,
+        config.compute.batch,
+        metrics.lost.inc,
     )
     _watch(metrics, intake, registry, tasks)
-    outbox.start()
-    stack.callback(outbox.stop, _LAST_ANSWERS)
-    pipeline.start()
-    stack.callback(pipeline.stop, _LAST_BATCH)
+    _watch_durability(metrics, recovery, snapshotter, keeper)
     endpoint = Endpoint(intake, metrics, limits.max_message_bytes, ownership)
-    stack.enter_context(endpoint.declared(session))
-    return pipeline
+    with ExitStack() as stack:
+        outbox.start()
+        stack.callback(outbox.stop, _LAST_ANSWERS)
+        reader.start()
+        stack.callback(reader.stop, _LAST_ANSWERS)
+        pipeline.start()
+        stack.callback(pipeline.stop, _LAST_BATCH)
+        stack.enter_context(endpoint.declared(session))
+        yield
+    if pipeline.finished:
+        snapshotter.finish()
 
 
 def _finished(question: Question, intake: Intake[Question], metrics: Metrics) -> None:
@@ -232,6 +258,16 @@ def _watch(metrics: Metrics, intake: Intake[Question], registry: Registry, tasks
     metrics.watch("trajectories", "Trajectories held", lambda: len(registry))
     metrics.watch("trajectories_ready", "Trajectories that can be predicted", registry.count_ready)
     metrics.watch("tasks", "Closed-loop tasks under way", lambda: len(tasks))
+
+
+def _watch_durability(
+    metrics: Metrics, recovery: Recovery, snapshotter: Snapshotter, keeper: Keeper
+) -> None:
+    metrics.watch("catching_up", "Trajectories catching up with a log", lambda: recovery.behind)
+    metrics.watch("snapshot_age_seconds", "Age of the oldest unstored change", snapshotter.age)
+    metrics.watch(
+        "not_durable", "1 while states cannot be stored", lambda: float(not keeper.is_durable)
+    )
 
 
 def _serve_metrics(config: ServiceConfig, metrics: Metrics, stack: ExitStack) -> int | None:

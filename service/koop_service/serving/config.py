@@ -161,6 +161,20 @@ class LimitSettings:
 
 
 @dataclass(frozen=True)
+class DurabilitySettings:
+    """What survives a kill of the service."""
+
+    snapshot_every: Annotated[float, arg(metavar="SECONDS")] = 3.0
+    """Time between two snapshots of all estimators that have changed; 0 takes one at the end only.
+    Sources that keep a log need not keep what is in a snapshot."""
+
+    def __post_init__(self) -> None:
+        every = self.snapshot_every
+        if not (math.isfinite(every) and (every == 0 or every >= 0.1)):
+            raise ValueError(f"snapshot_every is {every}; expected 0, or 0.1 s or more")
+
+
+@dataclass(frozen=True)
 class MonitoringSettings:
     """Metrics and logs."""
 
@@ -222,6 +236,7 @@ class ServiceConfig:
     estimator: EstimatorChoices = field(default_factory=EstimatorChoices)
     compute: ComputeSettings = field(default_factory=ComputeSettings)
     limits: LimitSettings = field(default_factory=LimitSettings)
+    durability: DurabilitySettings = field(default_factory=DurabilitySettings)
     monitoring: MonitoringSettings = field(default_factory=MonitoringSettings)
 
     def __post_init__(self) -> None:

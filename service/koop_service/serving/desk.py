@@ -1,8 +1,9 @@
 """Questions in the pipeline: each waits for what its trajectory sent before, then is answered.
 
 A question about one trajectory is answered as soon as everything that this trajectory sent before
-it is folded. One by wildcard waits for everybody's, and is then answered a trajectory at a time, so
-that it cannot hold the measurements up for long.
+it is folded; where the trajectory is catching up with its source's log, half a second after it came
+at the latest, out of what is folded by then. One by wildcard waits for everybody's, and is then
+answered a trajectory at a time, so that it cannot hold the measurements up for long.
 """
 
 from __future__ import annotations
@@ -33,6 +34,7 @@ from koop_protocol import (
     state_key,
 )
 from koop_service.serving import queries
+from koop_service.serving.durability.recovery import Recovery
 from koop_service.serving.intake import Intake
 from koop_service.serving.logs import Brake
 from koop_service.serving.metrics import Metrics
@@ -46,6 +48,9 @@ from koop_service.serving.trajectories import Trajectory
 log = logging.getLogger("koop.queries")
 
 _Answer = Callable[[Trajectory], bytes]
+
+_CATCHING_UP = 0.5
+"""Longest wait for a trajectory that catches up [s]."""
 
 _KEYS = {KeyKind.predict: predict_key, KeyKind.lqr: lqr_key, KeyKind.state: state_key}
 
@@ -68,6 +73,7 @@ class Desk:
         intake: Intake[Question],
         registry: Registry,
         commander: Commander,
+        recovery: Recovery,
         outbox: Outbox,
         metrics: Metrics,
         limits: Limits,
@@ -77,6 +83,7 @@ class Desk:
         self._intake = intake
         self._registry = registry
         self._commander = commander
+        self._recovery = recovery
         self._outbox = outbox
         self._metrics = metrics
         self._limits = limits
@@ -92,6 +99,11 @@ class Desk:
 
     @property
     def busy(self) -> bool:
+        """Whether somebody waits for an answer that does not wait for a log."""
+        return any(not self._waits(pending) for pending in self._pending)
+
+    @property
+    def waits(self) -> bool:
         """Whether somebody waits for an answer."""
         return bool(self._pending)
 
@@ -123,7 +135,14 @@ class Desk:
     def _is_due(self, pending: _Pending) -> bool:
         if pending.answers is not None:
             return True
-        return not self._intake.is_behind(pending.ticket, pending.lane)
+        behind = self._intake.is_behind(pending.ticket, pending.lane)
+        return not behind and not self._waits(pending)
+
+    def _waits(self, pending: _Pending) -> bool:
+        """Whether it waits for its trajectory to catch up."""
+        if pending.lane is None or not self._recovery.is_behind(pending.lane):
+            return False
+        return pending.question.age() < _CATCHING_UP
 
     def _work_on(self, pending: _Pending, deadline: float) -> bool:
         """Go on answering; False if time was up before the last answer."""

@@ -14,12 +14,15 @@ from koop_protocol import (
     FRAMES,
     LQRS,
     PREDICTIONS,
+    SOURCE_TOKENS,
     STATES,
     ErrorCode,
     KeyKind,
     ProtocolError,
     owner_of,
+    trajectory_of,
 )
+from koop_service.serving.durability.news import LogPresence
 from koop_service.serving.intake import Intake, Presence
 from koop_service.serving.metrics import Metrics
 from koop_service.serving.placement.ownership import Ownership
@@ -55,6 +58,11 @@ class Endpoint:
     def declared(self, session: zenoh.Session) -> Iterator[None]:
         """Listen on the session as long as the context is open."""
         with ExitStack() as stack:
+            callback = zenoh.handlers.Callback(self._meet, indirect=False)
+            for key in self._ownership.keys(SOURCE_TOKENS):
+                stack.enter_context(
+                    session.liveliness().declare_subscriber(key, callback, history=True)
+                )
             for key in self._ownership.keys(FRAMES) + self._ownership.keys(CONTROLS):
                 callback = zenoh.handlers.Callback(self._measure, indirect=False)
                 stack.enter_context(session.declare_subscriber(key, callback))
@@ -86,6 +94,14 @@ class Endpoint:
             return
         self._intake.notice(Presence(owner, sample.kind == zenoh.SampleKind.PUT))
 
+    def _meet(self, sample: zenoh.Sample) -> None:
+        try:
+            trajectory = trajectory_of(str(sample.key_expr))
+        except ProtocolError as error:
+            log.warning("a source's liveliness token is passed over: %s", error)
+            return
+        self._intake.tell(LogPresence(trajectory, sample.kind == zenoh.SampleKind.PUT))
+
     def _asker(self, kind: KeyKind) -> Callable[[zenoh.Query], None]:
         def ask(query: zenoh.Query) -> None:
             question = ZenohQuestion(kind, query, self._max_bytes)
@@ -98,6 +114,11 @@ class Endpoint:
                 question.close()
 
         return ask
+
+
+def put_durable(session: zenoh.Session, key: str, payload: bytes) -> None:
+    """Tell a source what its log need not keep; none of it may get lost, or the log fills up."""
+    session.put(key, payload, congestion_control=zenoh.CongestionControl.BLOCK)
 
 
 def put_command(session: zenoh.Session, key: str, payload: bytes) -> None:

@@ -16,6 +16,7 @@ from dataclasses import dataclass, replace
 from typing import Generic, TypeVar
 
 from koop_protocol import ProtocolError
+from koop_service.serving.durability.news import LogNews
 
 Q = TypeVar("Q")
 
@@ -25,6 +26,7 @@ class Arrival:
     """One measurement's bytes as they came, or what was wrong with them before they were read.
 
     `taken` marks what a short cut took out of turn. `at` is when it came, by time.monotonic [s].
+    `replayed`: it came out of a source's log, not from the queue.
     """
 
     key: str
@@ -33,6 +35,7 @@ class Arrival:
     fault: ProtocolError | None = None
     taken: bool = False
     at: float = 0.0
+    replayed: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,7 +61,7 @@ def lane_of(key: str) -> str:
 
 
 class Intake(Generic[Q]):
-    """Measurements and queries on their way to the pipeline.
+    """Measurements, queries and news of sources' logs on their way to the pipeline.
 
     `put` blocks while the queue is full: it runs on the source's own link, so that the source is
     held back (what Zenoh's BLOCK means) and nothing is dropped. `ask` never blocks: an overloaded
@@ -83,6 +86,7 @@ class Intake(Generic[Q]):
         self._lanes: dict[str, deque[Arrival]] = {}
         self._queries: deque[Waiting[Q]] = deque()
         self._presences: deque[Presence] = deque()
+        self._news: deque[LogNews] = deque()
         self._unanswered = 0
         self._query_bytes = 0
         self._messages = 0
@@ -137,6 +141,12 @@ class Intake(Generic[Q]):
             self._presences.append(presence)
             self._work.notify()
 
+    def tell(self, news: LogNews) -> None:
+        """Add news of a source's log; never blocks, and is never refused."""
+        with self._lock:
+            self._news.append(news)
+            self._work.notify()
+
     def wait(self, timeout: float) -> None:
         """Until something is there, the queues are closed, or `timeout` [s] has passed."""
         with self._lock:
@@ -179,6 +189,13 @@ class Intake(Generic[Q]):
             self._presences.clear()
             return presences
 
+    def take_news(self) -> list[LogNews]:
+        """News of sources' logs since the last call, in order."""
+        with self._lock:
+            news = list(self._news)
+            self._news.clear()
+            return news
+
     def is_behind(self, ticket: int, lane: str | None) -> bool:
         """Whether a measurement of this trajectory (None: of any) older than `ticket` waits."""
         with self._lock:
@@ -192,7 +209,8 @@ class Intake(Generic[Q]):
             self._space.notify_all()
 
     def _has_work(self) -> bool:
-        return bool(self._queries or self._presences or self._messages or self._closed)
+        queues = (self._queries, self._presences, self._news)
+        return bool(any(queues) or self._messages or self._closed)
 
     def _full(self, size: int) -> bool:
         if self._messages == 0:

@@ -23,6 +23,13 @@ class Metrics:
         self.unsent = self._counter("unsent", "Answers given up because callers did not read them")
         self.held = self._counter("held", "Times a source was held back by a full queue")
         self.commands = self._counter("commands", "Commands put, by the plan's status", ["status"])
+        self.replays = self._counter("replays", "Questions to the logs of sources")
+        self.replayed = self._counter("replayed", "Messages folded out of the logs of sources")
+        self.deferred = self._counter(
+            "deferred", "Live messages passed over while the logs of their sources were read"
+        )
+        self.snapshots = self._counter("snapshots", "States of trajectories stored")
+        self.unstored = self._counter("unstored", "Batches of states that could not be stored")
         self.batch = Histogram(
             "koop_batch_frames",
             "Frames in one encoder batch",
@@ -46,6 +53,13 @@ class Metrics:
         self.commanding = Histogram(
             "koop_command_seconds",
             "Time from a frame's arrival to its command's hand-out [s]",
+            buckets=_SECONDS,
+            registry=self.registry,
+        )
+
+        self.storing = Histogram(
+            "koop_store_seconds",
+            "Time to store one batch of states [s]",
             buckets=_SECONDS,
             registry=self.registry,
         )

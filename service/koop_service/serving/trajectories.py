@@ -127,8 +127,15 @@ class Trajectory:
 
     def ended_epochs(self) -> tuple[str, ...]:
         """Runs that are over, the present one's predecessors in this stream included."""
-        ended: list[str] = [*self.predecessors, *self.stream.snapshot()["retired"]]
-        return tuple(ended[-REMEMBERED_EPOCHS:])
+        return (*self.predecessors, *self.stream.retired)[-REMEMBERED_EPOCHS:]
+
+    def knows(self, message: Frame | Control) -> bool:
+        """Whether folding the message could change nothing: it came before, or its turn is over."""
+        if message.epoch != self.stream.epoch:
+            return message.epoch in self.ended_epochs()
+        if isinstance(message, Frame):
+            return self.stream.knows_frame(message.seq)
+        return self.stream.knows_control(message.seq)
 
     # What is known
 

@@ -13,6 +13,9 @@ import sys
 import threading
 from typing import Any
 
+FENCED = 3
+"""Exit code of a service whose shards somebody else has claimed."""
+
 
 class Orders:
     """What comes in on standard input; `stop` is set when that closes."""

@@ -18,6 +18,7 @@ from typing import Any
 from koop_service.encoding.catalogue import bundled_or_own
 from koop_service.serving.config import ServiceConfig
 from koop_service.serving.placement.hub import Hub, hub
+from koop_service.serving.placement.member import FENCED
 from koop_service.serving.placement.ownership import listed, share
 from koop_service.serving.placement.processes import Event, Process
 from koop_service.serving.placement.roster import Roster
@@ -124,13 +125,17 @@ class Supervisor:
         )
 
     def _bury(self, process: Process, code: int) -> bool:
-        """Account for one that is gone; whether that is the end, since it could never start."""
+        """Account for one that is gone; whether that is the end: it could never start, or it
+        is not wanted any more."""
         self._alive.discard(process)
         seat = self._roster.died(process, time.monotonic())
         who = "a spare" if seat is None else f"worker {seat}/{self._count}"
         how = f"signal {-code}" if code < 0 else f"exit code {code}"
         if code > 0 and not self._served:
             log.error("%s could not start (%s); stopping", who, how)
+            return True
+        if code == FENCED:
+            log.error("%s lost its shards to another service on this state; stopping", who)
             return True
         log.warning("%s (process %d) ended with %s; another takes over", who, process.pid, how)
         return False
