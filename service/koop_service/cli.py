@@ -87,9 +87,9 @@ def main() -> None:
 def _engine(config: ServiceConfig) -> Callable[[ServiceConfig], int]:
     """Who runs the service: this process, or workers that it starts."""
     if config.placement.ray:
-        from koop_service.serving.placement.ray_engine import run_on_ray  # an extra: only if asked
+        from koop_service.serving.placement.ray_engine import supervise_on_ray  # only if asked
 
-        return run_on_ray
+        return supervise_on_ray
     return serve if config.placement.workers is None else supervise
 
 
@@ -100,7 +100,7 @@ def serve(config: ServiceConfig) -> int:
         signal.signal(number, lambda *_: stop.set())
     if config.placement.told_later:
         return _serve_as_told(config, stop)
-    session = _reach(config, stop)
+    session = reach(config, stop)
     if session is None:
         return 0
     with session, running(config, session, stop=stop) as service:
@@ -113,7 +113,7 @@ def _serve_as_told(config: ServiceConfig, stop: threading.Event) -> int:
     """Load everything, and serve once a supervisor has said which worker this is to be."""
     equipment = equip(config)
     told = _told(config, stop)
-    session = None if told is None else _reach(told, stop)
+    session = None if told is None else reach(told, stop)
     if told is None or session is None:
         return 0
     with session, running(told, session, equipment, stop) as service:
@@ -304,7 +304,7 @@ def _prepare(registry: Registry, catalogue: Catalogue, batch: int) -> None:
     gc.freeze()
 
 
-def _reach(config: ServiceConfig, stop: threading.Event) -> zenoh.Session | None:
+def reach(config: ServiceConfig, stop: threading.Event) -> zenoh.Session | None:
     """Open the session; where there is nothing to connect to yet, wait for it (None: stopped)."""
     told = False
     while not stop.is_set():

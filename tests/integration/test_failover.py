@@ -83,10 +83,10 @@ def workers(folder: Path, *options: object) -> Iterator[Workers]:
         process.communicate()
 
 
-@pytest.fixture
-def expected(tmp_path: Path, model: Path) -> dict[str, PredictReply]:
+@pytest.fixture(scope="module")
+def expected(tmp_path_factory: pytest.TempPathFactory, model: Path) -> dict[str, PredictReply]:
     """What a service that nothing happens to predicts after the same frames."""
-    with loop(config_for(tmp_path / "undisturbed", model)) as koop:
+    with loop(config_for(tmp_path_factory.mktemp("undisturbed"), model)) as koop:
         for seed, name in enumerate(NAMES):
             Source(koop.session, name, seed, EPOCH).stream(FRAMES)
         return answers(koop.session)
@@ -105,10 +105,12 @@ def state(session: zenoh.Session, name: str) -> StateReply | None:
         return None
 
 
+@pytest.mark.timeout(300)
+@pytest.mark.parametrize("engine", [(), ("--ray",)], ids=["processes", "ray"])
 def test_a_worker_killed_under_load_leaves_no_trace(
-    tmp_path: Path, model: Path, expected: dict[str, PredictReply]
+    tmp_path: Path, model: Path, expected: dict[str, PredictReply], engine: tuple[str, ...]
 ) -> None:
-    options = ("--models", f"cart*={model}", "--snapshot-every", 0.1)
+    options = (*engine, "--models", f"cart*={model}", "--snapshot-every", 0.1)
     with ExitStack() as stack:
         team = stack.enter_context(workers(tmp_path, *options))
         session = stack.enter_context(client(team.endpoint))

@@ -31,6 +31,11 @@ def load_config(path: Path) -> ServiceConfig:
         raise ValueError(f"{path}: {error}") from error
 
 
+def parse_config(text: str) -> ServiceConfig:
+    """The settings that `dump_config` wrote."""
+    return _settings(ServiceConfig, tomllib.loads(text), "", Path("/"))
+
+
 def dump_config(config: ServiceConfig) -> str:
     """The settings as a TOML file for `load_config` in whatever folder; paths become absolute."""
     return "\n".join(_lines(config, "")) + "\n"

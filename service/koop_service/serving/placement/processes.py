@@ -13,8 +13,6 @@ from typing import Any
 
 from koop_service.serving.placement.member import read_report
 
-Event = tuple["Process | None", dict[str, Any]]
-
 
 class Process:
     """`koop-serve --config FILE`; what it reports goes into `events`, at last its exit code.
@@ -23,7 +21,7 @@ class Process:
     when this process is gone.
     """
 
-    def __init__(self, config: Path, events: queue.SimpleQueue[Event]) -> None:
+    def __init__(self, config: Path, events: queue.SimpleQueue[Any]) -> None:
         self._events = events
         command = [sys.executable, "-m", "koop_service.cli", "--config", str(config)]
         places = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}  # this very koop

@@ -1,4 +1,4 @@
-"""`koop-serve --workers N`: workers as processes of this machine, and the hub that they share.
+"""`koop-serve --workers N`: several workers, by default processes of this machine, and their hub.
 
 The supervisor learns nothing and answers nothing. It starts the workers, puts a spare in the place
 of one that dies, starts a new spare, and stops them all.
@@ -11,16 +11,18 @@ import queue
 import signal
 import tempfile
 import time
+from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 from koop_service.encoding.catalogue import bundled_or_own
-from koop_service.serving.config import ServiceConfig
-from koop_service.serving.placement.hub import Hub, hub
+from koop_service.serving.config import NetworkSettings, ServiceConfig
+from koop_service.serving.placement.hub import hub
 from koop_service.serving.placement.member import FENCED
 from koop_service.serving.placement.ownership import listed, share
-from koop_service.serving.placement.processes import Event, Process
+from koop_service.serving.placement.processes import Process
 from koop_service.serving.placement.roster import Roster
 from koop_service.serving.placement.settings import TOLD_LATER, PlacementSettings
 from koop_service.serving.toml import dump_config
@@ -39,10 +41,40 @@ def supervise(config: ServiceConfig) -> int:
     with hub(config.network) as shared, tempfile.TemporaryDirectory(prefix="koop-") as folder:
         file = Path(folder) / "worker.toml"
         file.write_text(dump_config(member_config(config, shared.network)), encoding="utf-8")
-        return Supervisor(config.placement, shared, file, events).run()
+        start = partial(Process, file, events)
+        return Supervisor(config.placement, shared.endpoints, start, events).run()
 
 
-def member_config(config: ServiceConfig, network: Any) -> ServiceConfig:
+class Member(Protocol):
+    """Something that runs a worker, or waits to be told which one.
+
+    It puts events of itself into the supervisor's queue: `prepared`; `ready`, with the worker, its
+    metrics' port and how many trajectories it continues; and at last `exit` with a code.
+    """
+
+    @property
+    def pid(self) -> int:
+        """Its process."""
+        ...
+
+    def tell(self, line: str) -> None:
+        """Which worker it is to be."""
+        ...
+
+    def stop(self) -> None:
+        """Ask it to stop."""
+        ...
+
+    def end(self, timeout: float) -> int:
+        """Its exit code; ended by force when it takes longer than `timeout` [s]."""
+        ...
+
+
+Event = tuple[Member | None, dict[str, Any]]
+"""None is the supervisor itself, told to stop."""
+
+
+def member_config(config: ServiceConfig, network: NetworkSettings) -> ServiceConfig:
     """What a worker is started with: it is told later which one it is."""
     models = tuple(
         replace(rule, path=bundled_or_own(rule.path), name=rule.name or rule.path.stem)
@@ -54,21 +86,21 @@ def member_config(config: ServiceConfig, network: Any) -> ServiceConfig:
 
 
 class Supervisor:
-    """The processes, by the roster's decisions."""
+    """The members, by the roster's decisions; `start` begins one, `endpoints` are the hub's."""
 
     def __init__(
         self,
         placement: PlacementSettings,
-        shared: Hub,
-        file: Path,
+        endpoints: list[str],
+        start: Callable[[], Member],
         events: queue.SimpleQueue[Event],
     ) -> None:
         self._count = placement.workers or 1
-        self._hub = shared
-        self._file = file
+        self._endpoints = endpoints
+        self._start = start
         self._events = events
-        self._roster: Roster[Process] = Roster(self._count, placement.spares)
-        self._alive: set[Process] = set()
+        self._roster: Roster[Member] = Roster(self._count, placement.spares)
+        self._alive: set[Member] = set()
         self._served: set[int] = set()
 
     def run(self) -> int:
@@ -84,31 +116,31 @@ class Supervisor:
 
     def _start_missing(self) -> None:
         for _ in range(self._roster.to_start(time.monotonic())):
-            process = Process(self._file, self._events)
-            self._alive.add(process)
-            self._roster.started(process)
+            member = self._start()
+            self._alive.add(member)
+            self._roster.started(member)
 
     def _attend(self) -> int | None:
         """Wait for something to happen, and deal with it; an exit code when it is over."""
         wake = self._roster.wake()
         try:
             timeout = None if wake is None else max(0.0, wake - time.monotonic())
-            process, told = self._events.get(timeout=timeout)
+            member, told = self._events.get(timeout=timeout)
         except queue.Empty:
             return None
-        if process is None:
+        if member is None:
             return 0
         if told["event"] == "prepared":
-            self._roster.prepared(process)
+            self._roster.prepared(member)
         elif told["event"] == "ready":
-            self._note_ready(process, told)
-        elif told["event"] == "exit" and self._bury(process, told["code"]):
+            self._note_ready(member, told)
+        elif told["event"] == "exit" and self._bury(member, told["code"]):
             return 1
-        for member, seat in self._roster.seat():
-            member.tell(f"{seat}/{self._count}")
+        for next_one, seat in self._roster.seat():
+            next_one.tell(f"{seat}/{self._count}")
         return None
 
-    def _note_ready(self, process: Process, told: dict[str, Any]) -> None:
+    def _note_ready(self, member: Member, told: dict[str, Any]) -> None:
         seat = int(told["worker"].split("/")[0])
         if len(self._served) < self._count:
             self._served.add(seat)
@@ -119,16 +151,16 @@ class Supervisor:
             "worker %s serves the shards %s (process %d%s); trajectories continued: %d",
             told["worker"],
             listed(share(seat, self._count)),
-            process.pid,
+            member.pid,
             metrics,
             told["restored"],
         )
 
-    def _bury(self, process: Process, code: int) -> bool:
+    def _bury(self, member: Member, code: int) -> bool:
         """Account for one that is gone; whether that is the end: it could never start, or it
         is not wanted any more."""
-        self._alive.discard(process)
-        seat = self._roster.died(process, time.monotonic())
+        self._alive.discard(member)
+        seat = self._roster.died(member, time.monotonic())
         who = "a spare" if seat is None else f"worker {seat}/{self._count}"
         how = f"signal {-code}" if code < 0 else f"exit code {code}"
         if code > 0 and not self._served:
@@ -137,19 +169,19 @@ class Supervisor:
         if code == FENCED:
             log.error("%s lost its shards to another service on this state; stopping", who)
             return True
-        log.warning("%s (process %d) ended with %s; another takes over", who, process.pid, how)
+        log.warning("%s (process %d) ended with %s; another takes over", who, member.pid, how)
         return False
 
     def _greet(self) -> None:
-        where = ", ".join(self._hub.endpoints) or "the routers they are connected to"
+        where = ", ".join(self._endpoints) or "the routers they are connected to"
         print(f"koop-serve is ready on {where}", flush=True)
         print(f"  workers: {self._count}", flush=True)
         print("  try: koop-sim-client --system cartpole    (Ctrl-C stops)", flush=True)
 
     def _stop(self) -> int:
         """Stop all of them; 1 if one failed or had to be killed. A spare may not listen yet."""
-        for process in self._alive:
-            process.stop()
+        for member in self._alive:
+            member.stop()
         deadline = time.monotonic() + _STOPPING
-        codes = [process.end(max(0.0, deadline - time.monotonic())) for process in self._alive]
+        codes = [member.end(max(0.0, deadline - time.monotonic())) for member in self._alive]
         return int(any(code not in (0, -signal.SIGTERM) for code in codes))
