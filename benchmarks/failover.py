@@ -31,14 +31,14 @@ from pathlib import Path
 import numpy as np
 import psutil
 import zenoh
-from service import client, pictures, write_weights
 
+from koop_clients.connection import open_session
 from koop_clients.replay.log import SourceLog
 from koop_clients.sources import FrameSource
 from koop_protocol import PredictReply, StateReply, decode, shard_of
 
 WORKERS = 3
-PAUSE = 6.0  # s between two kills: a new spare has loaded by then, if the machine is idle
+PAUSE = 3.0  # s of undisturbed load before a kill
 PATIENCE = 120.0  # s
 
 
@@ -63,6 +63,16 @@ def parse_options() -> argparse.Namespace:
     return parser.parse_args()
 
 
+def write_weights(folder: Path) -> Path:
+    """Weights of the paper's size; what they have learned does not change how fast they are."""
+    from koop_service.encoding.autoencoder import initialised
+    from koop_service.encoding.weights import ModelCard, save_weights
+
+    path = folder / "benchmark.safetensors"
+    save_weights(path, initialised(8, seed=0), ModelCard("benchmark", "benchmark", 0.05))
+    return path
+
+
 @dataclass
 class Team:
     """The workers."""
@@ -73,6 +83,14 @@ class Team:
     def process_of(self, worker: int) -> int:
         pattern = rf"worker {worker}/{WORKERS} serves .*\(process (\d+)"
         return int(re.findall(pattern, self.log.read_text())[-1])
+
+    def await_spares(self, count: int) -> None:
+        """Until so many have loaded since the start."""
+        end = time.monotonic() + PATIENCE
+        while self.log.read_text().count("a spare is ready") < count:
+            if time.monotonic() > end:
+                raise RuntimeError(f"no spare is ready after {PATIENCE:g} s")
+            time.sleep(0.1)
 
 
 @contextmanager
@@ -99,8 +117,8 @@ def workers(options: argparse.Namespace, folder: Path, weights: Path) -> Iterato
 
 def stream(endpoint: str, names: list[str], rate: float, log_file: Path, stop: Event, sent) -> None:
     """Put a frame of every trajectory at the rate, until told to stop; then serve the log on."""
-    images = pictures(64)
-    with client(endpoint) as session, SourceLog(log_file) as log:
+    images = np.random.default_rng(0).integers(0, 256, (64, 64, 64), np.uint8)
+    with open_session([endpoint]) as session, SourceLog(log_file) as log:
         sources = [FrameSource(session, name, 0, "benchmark", log) for name in names]
         due = time.monotonic()
         while not stop.is_set():
@@ -160,13 +178,18 @@ def measured(options: argparse.Namespace, folder: Path) -> dict[str, float | int
     spawn = multiprocessing.get_context("spawn")
     stop, sent = spawn.Event(), spawn.Value("q", 0)
     answered, current = [], []
-    with workers(options, folder, write_weights(folder)) as team, client(team.endpoint) as session:
+    with (
+        workers(options, folder, write_weights(folder)) as team,
+        open_session([team.endpoint]) as session,
+    ):
         arguments = (team.endpoint, names, options.rate, folder / "source.log", stop, sent)
         source = spawn.Process(target=stream, args=arguments)
         source.start()
         witness = Witness(session, names)
         witness.until(40)
         for number in range(options.kills):
+            if options.spares:
+                team.await_spares(options.spares + number)
             time.sleep(PAUSE)
             before, killed = sent.value, time.monotonic()
             os.kill(team.process_of(number % WORKERS), signal.SIGKILL)

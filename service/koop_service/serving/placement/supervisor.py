@@ -101,6 +101,7 @@ class Supervisor:
         self._events = events
         self._roster: Roster[Member] = Roster(self._count, placement.spares)
         self._alive: set[Member] = set()
+        self._idle: set[Member] = set()
         self._served: set[int] = set()
 
     def run(self) -> int:
@@ -132,13 +133,21 @@ class Supervisor:
             return 0
         if told["event"] == "prepared":
             self._roster.prepared(member)
+            self._idle.add(member)
         elif told["event"] == "ready":
             self._note_ready(member, told)
         elif told["event"] == "exit" and self._bury(member, told["code"]):
             return 1
-        for next_one, seat in self._roster.seat():
-            next_one.tell(f"{seat}/{self._count}")
+        self._seat()
         return None
+
+    def _seat(self) -> None:
+        for member, seat in self._roster.seat():
+            self._idle.discard(member)
+            member.tell(f"{seat}/{self._count}")
+        for member in self._idle:
+            log.info("a spare is ready to take over (process %d)", member.pid)
+        self._idle.clear()
 
     def _note_ready(self, member: Member, told: dict[str, Any]) -> None:
         seat = int(told["worker"].split("/")[0])
