@@ -8,6 +8,7 @@ from __future__ import annotations
 import logging
 import sqlite3
 import threading
+import time
 from collections import deque
 from collections.abc import Callable
 from functools import partial
@@ -101,10 +102,13 @@ class LogServer:
                 self._work.notify()
 
     def _run(self) -> None:
+        tidied = time.monotonic()
         while self._wait():
             self._guarded("answering", self._answer_all)
             self._guarded("forgetting", self._forget_all)
-            self._guarded("tidying", self._file.tidy)
+            if time.monotonic() - tidied >= _TIDY:
+                self._guarded("tidying", self._file.tidy)
+                tidied = time.monotonic()
 
     def _wait(self) -> bool:
         """Until there is something to do; whether to go on."""
@@ -135,8 +139,7 @@ class LogServer:
             refusal = ProtocolError(ErrorCode.internal, f"the log cannot be read: {error}")
             query.reply_err(encode(ErrorReply.from_error(refusal)))
         else:
-            block = zenoh.CongestionControl.BLOCK
-            query.reply(replay_key(trajectory), reply, congestion_control=block)
+            query.reply(replay_key(trajectory), reply)
 
     def _forget_all(self) -> None:
         with self._work:

@@ -16,7 +16,7 @@ from koop_service.serving.durability.news import LogAnswer, LogQuestion
 
 log = logging.getLogger("koop.replays")
 
-_AT_ONCE = 32
+_AT_ONCE = 8
 """Questions under way at once; their answers lie in memory until they are folded."""
 _PATIENCE = 5.0
 """Longest wait for an answer [s]."""

@@ -14,7 +14,6 @@ from dataclasses import dataclass, field
 from itertools import count
 
 from koop_protocol import (
-    DEFAULT_BATCH_BYTES,
     Control,
     Frame,
     Limits,
@@ -187,7 +186,8 @@ class Recovery:
                 self._ask_one(source)
 
     def _ask_one(self, source: _Source) -> None:
-        most = min(DEFAULT_BATCH_BYTES, self._limits.max_message_bytes)
+        # Whatever may come alone fits into an answer, and what may not would be refused anyway.
+        most = self._limits.max_message_bytes
         query = source.catch_up.question(self._registry.find(source.name), most)
         source.asked = next(self._numbers)
         self._metrics.replays.inc()
