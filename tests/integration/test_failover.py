@@ -7,6 +7,7 @@ import re
 import signal
 import subprocess
 import sys
+import time
 from collections import Counter
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
@@ -33,6 +34,8 @@ from koop_clients.sources import FrameSource
 from koop_protocol import PredictReply, StateReply, shard_of
 
 COUNT, FRAMES, EPOCH = 3, 80, "00000000000000aa"
+KILLED_AFTER = (45, 60)  # frames
+PATIENCE = 120.0  # s for a process to load everything, on a machine that is busy
 NAMES = [f"cart/{i}" for i in range(8)]
 
 
@@ -51,6 +54,13 @@ class Workers:
         """The worker that has the trajectory, as its latest line says."""
         number = int(shard_of(name), 16) * COUNT // 64
         return int(self.told(rf"worker {number}/{COUNT} serves .*\(process (\d+)")[-1])
+
+    def await_spare(self, count: int) -> None:
+        """Until so many spares have loaded since the start."""
+        deadline = time.monotonic() + PATIENCE
+        while len(self.told("a spare is ready")) < count:
+            assert time.monotonic() < deadline, self.log.read_text()
+            time.sleep(0.05)
 
     def stop(self) -> int:
         self.process.send_signal(signal.SIGTERM)
@@ -123,7 +133,8 @@ def test_a_worker_killed_under_load_leaves_no_trace(
                 source.put_frame(picture(seed, seq))
                 if seq < FRAMES - 1:
                     source.put_control(control(seed, seq))
-            if seq in (45, 60):
+            if seq in KILLED_AFTER:
+                team.await_spare(1 + KILLED_AFTER.index(seq))
                 os.kill(team.process_of(NAMES[0]), signal.SIGKILL)
                 wait_until(lambda: state(session, NAMES[0]) is not None, "another one's answer")
             for reply in ask_all(session, "koop/state/**"):

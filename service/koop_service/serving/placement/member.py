@@ -6,6 +6,7 @@ When standard input closes its supervisor is gone, and it stops.
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import queue
@@ -46,8 +47,9 @@ class Orders:
 
 
 def report(event: str, **figures: Any) -> None:
-    """Tell the supervisor, as one JSON object on a line of standard output."""
-    print(json.dumps({"event": event, **figures}), flush=True)
+    """Tell the supervisor, as one JSON object on a line of standard output; if it is there."""
+    with contextlib.suppress(BrokenPipeError):
+        print(json.dumps({"event": event, **figures}), flush=True)
 
 
 def read_report(line: str) -> dict[str, Any]:

@@ -9,6 +9,7 @@ from collections.abc import Iterator
 from contextlib import closing
 
 import pytest
+from integration.postgres_server import PostgresServer, postgres_server
 
 from koop_service.serving.durability.postgres_store import PostgresStore
 from koop_service.serving.durability.store import (
@@ -18,7 +19,6 @@ from koop_service.serving.durability.store import (
     StoreError,
 )
 
-from .postgres_server import PostgresServer, postgres_server
 from .store_contract import StoreContract, name_of
 
 _NUMBERS = itertools.count()
