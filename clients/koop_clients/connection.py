@@ -16,6 +16,8 @@ _WAIT_BEFORE_CLOSE = "transport/link/tx/queue/congestion_control/block/wait_befo
 _ZENOH_DEFAULT_WAIT, _LONG_WAIT = 5_000_000, 600_000_000  # us
 
 _RETRY_INTERVAL = 0.2  # s
+# Zenoh's own pauses before it looks again for a service that went away grow to 4 s.
+_RECONNECT = {"period_init_ms": 100, "period_max_ms": 500, "period_increase_factor": 2}
 
 
 class NoServiceError(ConnectionError):
@@ -77,6 +79,7 @@ def _client_config() -> zenoh.Config:
     config.insert_json5("mode", '"client"')
     config.insert_json5("scouting/multicast/enabled", "false")
     config.insert_json5("scouting/gossip/enabled", "false")
+    config.insert_json5("connect/retry", json.dumps(_RECONNECT))
     return config
 
 

@@ -7,7 +7,6 @@ stands in queues, and hypothesis decides what arrives, what is lost and who dies
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterable
 from dataclasses import replace
 from itertools import chain
 from pathlib import Path
@@ -17,6 +16,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from integration.loopback import RENDERER, control, picture, write_model
+from integration.undisturbed import arrival_of, registry_of, undisturbed
 
 from koop_clients.replay.file import CONTROL, FRAME, LogFile
 from koop_protocol import (
@@ -24,11 +24,8 @@ from koop_protocol import (
     Durable,
     Frame,
     Limits,
-    control_key,
     encode,
-    frame_key,
 )
-from koop_service.encoding.catalogue import Catalogue, ModelEntry
 from koop_service.serving.config import EstimatorChoices
 from koop_service.serving.durability.news import LogAnswer, LogPresence, LogQuestion
 from koop_service.serving.durability.recovery import Recovery
@@ -38,9 +35,9 @@ from koop_service.serving.measurements import Measurements
 from koop_service.serving.metrics import Metrics
 from koop_service.serving.records import snapshot_of
 from koop_service.serving.refusals import Refusals
-from koop_service.serving.registry import Registry
 
 NAME = "cart/0"
+CHOICES = EstimatorChoices(forgetting=0.9)
 Message = Frame | Control
 
 
@@ -52,8 +49,7 @@ class Service:
         self.questions: list[LogQuestion] = []
         metrics, limits = Metrics(), Limits()
         refusals = Refusals(metrics)
-        catalogue = Catalogue([ModelEntry("test", model, ("*",))])
-        self.registry = Registry(catalogue, EstimatorChoices(forgetting=0.9), refusals, 4)
+        self.registry = registry_of(model, CHOICES, refusals)
         assert self.registry.restore(stored) == len(stored)
         self.recovery = Recovery(
             self.registry, self.questions.append, metrics, limits, 8, lambda: self.now
@@ -155,7 +151,7 @@ class World:
 
     def deliver(self, count: int) -> None:
         arrivals = [self.wire.popleft() for _ in range(min(count, len(self.wire)))]
-        self.service.process([self.arrival(m, data) for m, data in arrivals])
+        self.service.process([arrival_of(m, data) for m, data in arrivals])
 
     def lose(self, count: int) -> None:
         """The link breaks: messages are gone, and the source's token comes anew with it."""
@@ -193,20 +189,6 @@ class World:
             if not (self.wire or self.service.questions or self.service.recovery.behind):
                 return
         raise AssertionError("it never settles")
-
-    @staticmethod
-    def arrival(message: Message, data: bytes) -> Arrival:
-        key = (frame_key if isinstance(message, Frame) else control_key)(message.trajectory)
-        return Arrival(key, data, 0)
-
-
-def undisturbed(model: Path, messages: Iterable[Message]) -> dict[str, object]:
-    """The record after the same messages, one by one, from a source without a log."""
-    service = Service(model, {})
-    for message in messages:
-        plain = replace(message, logged=False) if isinstance(message, Frame) else message
-        service.process([World.arrival(plain, encode(plain))])
-    return unseal(service.snapshot()[0][NAME])
 
 
 @pytest.fixture(scope="module")
@@ -246,5 +228,5 @@ def test_the_state_is_that_of_an_undisturbed_stream(
     world.stream(3, answered=True)
     world.settle()
     record = unseal(world.service.snapshot()[0][NAME])
-    np.testing.assert_equal(record, undisturbed(weights, world.put))
+    np.testing.assert_equal(record, undisturbed(weights, world.put, CHOICES)[NAME])
     world.log.close()
