@@ -208,17 +208,22 @@ def _started(
     """Intake, pipeline, outbox and all that they need, wired together; then the last snapshots."""
     registry, metrics, limits = kit.registry, kit.metrics, config.limits
     wire = Limits(max_message_bytes=limits.max_message_bytes, max_horizon=limits.max_horizon)
+    replies = replace(wire, max_message_bytes=limits.max_reply_bytes)
     intake: Intake[Question] = Intake(
         limits.queue_messages, limits.queue_bytes, limits.queue_queries, metrics.held.inc
     )
-    outbox = Outbox(lambda question: _finished(question, intake, metrics), metrics.unsent.inc)
+    outbox = Outbox(
+        lambda question: _finished(question, intake, metrics),
+        metrics.unsent.inc,
+        2 * limits.max_reply_bytes,
+    )
     reader = LogReader(session, intake.tell, wire.for_replays().max_message_bytes)
     recovery = Recovery(registry, reader.ask, metrics, wire, 2 * limits.max_trajectories)
     every = config.durability.snapshot_every
     snapshotter = Snapshotter(registry, keeper, recovery.is_logged, every)
     tasks = Tasks()
     commander = Commander(tasks, registry, partial(put_command, session), metrics)
-    desk = Desk(intake, registry, commander, recovery, outbox, metrics, wire, ownership)
+    desk = Desk(intake, registry, commander, recovery, outbox, metrics, wire, replies, ownership)
     measurements = Measurements(registry, kit.refusals, recovery, metrics, wire, snapshotter.note)
     pipeline = Pipeline(
         intake,
@@ -329,7 +334,8 @@ def _greeting(service: Service) -> str:
         lines.append(f"  trajectories continued from the last run: {service.restored}")
     if service.metrics_port is not None:
         lines.append(f"  metrics: port {service.metrics_port}, /metrics")
-    lines.append("  try: koop-sim-client --system cartpole    (Ctrl-C stops)")
+    how = " --zenoh-config FILE" if "tls/" in where else ""
+    lines.append(f"  try: koop-sim-client --system cartpole{how}    (Ctrl-C stops)")
     return "\n".join(lines)
 
 

@@ -41,8 +41,9 @@ class NetworkSettings:
     """Take pictures from sources on this machine through shared memory. Much faster for pictures
     above 100 KB; but Zenoh keeps about 18 MB for every source that ever connected."""
     zenoh_config: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="")] = None
-    """A raw Zenoh configuration file (JSON5 or YAML), for TLS and access control; the options above
-    act on top of it, and without them it decides alone."""
+    """A raw Zenoh configuration file (JSON5 or YAML), for TLS and access control, such as koop-pki
+    writes; its certificates lie beside it. The options above act on top of it, and without them it
+    decides alone."""
 
     def __post_init__(self) -> None:
         if self.listen == ():
@@ -149,14 +150,18 @@ class LimitSettings:
     queue_queries: int = 256
     """Queries waiting at once; further ones are answered 'overloaded'."""
     max_message_bytes: int = 4 << 20
-    """Largest message [bytes]."""
+    """Largest message that is taken in [bytes]."""
+    max_reply_bytes: int = 32 << 20
+    """Largest answer [bytes]. Predicted frames fill it: 127 of the flow past the cylinder, which
+    take half a second to draw."""
     max_horizon: int = 1000
     """Longest prediction or control sequence [frames]."""
 
     def __post_init__(self) -> None:
         for name in ("max_trajectories", "queue_messages", "queue_queries", "max_horizon"):
             _require_at_least(name, getattr(self, name), 1)
-        _require_at_least("max_message_bytes", self.max_message_bytes, 1024)
+        for name in ("max_message_bytes", "max_reply_bytes"):
+            _require_at_least(name, getattr(self, name), 1024)
         _require_at_least("queue_bytes", self.queue_bytes, self.max_message_bytes)
 
 

@@ -40,7 +40,7 @@ from koop_service.serving.logs import Brake
 from koop_service.serving.metrics import Metrics
 from koop_service.serving.outbox import Outbox
 from koop_service.serving.placement.ownership import Ownership
-from koop_service.serving.questions import Question, error_bytes, is_wildcard, name_in
+from koop_service.serving.questions import Question, error_bytes, name_in
 from koop_service.serving.registry import Registry
 from koop_service.serving.steering.commander import Commander
 from koop_service.serving.trajectories import Trajectory
@@ -77,6 +77,7 @@ class Desk:
         outbox: Outbox,
         metrics: Metrics,
         limits: Limits,
+        replies: Limits,
         ownership: Ownership | None = None,
     ) -> None:
         self._ownership = ownership or Ownership()
@@ -87,6 +88,7 @@ class Desk:
         self._outbox = outbox
         self._metrics = metrics
         self._limits = limits
+        self._replies = replies
         self._pending: deque[_Pending] = deque()
         self._brake = Brake()
 
@@ -94,7 +96,7 @@ class Desk:
         """Take in the questions that have come."""
         for waiting in self._intake.take_queries():
             question = waiting.query
-            lane = None if is_wildcard(question) else name_in(question)
+            lane = name_in(question.key)
             self._pending.append(_Pending(question, waiting.ticket, lane))
 
     @property
@@ -169,11 +171,12 @@ class Desk:
         return True
 
     def _answers(self, question: Question) -> Iterator[None]:
-        if is_wildcard(question):
+        name = name_in(question.key)
+        if name is None:
             yield from self._answers_of_several(question)
         else:
             answer = self._understand(question)
-            yield self._send(question, answer, self._find(name_in(question)))
+            yield self._send(question, answer, self._find(name))
 
     def _answers_of_several(self, question: Question) -> Iterator[None]:
         """One each. Where other workers hear the question too, one of all complains about it, and
@@ -218,7 +221,7 @@ class Desk:
     def _understand(self, question: Question) -> _Answer:
         """The function from a trajectory to the reply's bytes. Raises ProtocolError."""
         reply = self._replier(question)
-        return lambda trajectory: encode(reply(trajectory), self._limits)
+        return lambda trajectory: encode(reply(trajectory), self._replies)
 
     def _replier(self, question: Question) -> Callable[[Trajectory], Message]:
         limits, payload = self._limits, question.payload
@@ -230,11 +233,11 @@ class Desk:
             prediction = predict_query_from_parameters(question.parameters, limits)
         else:
             prediction = decode_as(PredictQuery, payload, limits)
-        return lambda trajectory: queries.predict(trajectory, prediction)
+        return lambda trajectory: queries.predict(trajectory, prediction, self._replies)
 
     def _controller(self, order: Message) -> Callable[[Trajectory], Message]:
         if isinstance(order, LqrQuery):
-            return lambda trajectory: queries.control(trajectory, order)
+            return lambda trajectory: queries.control(trajectory, order, self._replies)
         if isinstance(order, LqrTask):
             return lambda trajectory: self._commander.begin(trajectory, order)
         if isinstance(order, LqrCancel):

@@ -30,7 +30,6 @@ from koop_service.serving.questions import (
     Question,
     ZenohQuestion,
     error_bytes,
-    is_wildcard,
     name_in,
 )
 
@@ -104,16 +103,21 @@ class Endpoint:
 
     def _asker(self, kind: KeyKind) -> Callable[[zenoh.Query], None]:
         def ask(query: zenoh.Query) -> None:
-            question = ZenohQuestion(kind, query, self._max_bytes)
-            if not is_wildcard(question) and not self._ownership.has(name_in(question)):
-                question.close()  # its owner answers
-                return
-            if not self._intake.ask(question, question.size):
-                self._metrics.refused.labels(str(ErrorCode.overloaded)).inc()
-                question.refuse(error_bytes(_overloaded()))
-                question.close()
+            name = name_in(str(query.key_expr))
+            size = 0 if query.payload is None else len(query.payload)
+            if name is not None and not self._ownership.has(name):
+                query.drop()  # its owner answers
+            elif size > self._max_bytes:
+                self._refuse(query, _too_large(size, self._max_bytes))
+            elif not self._intake.ask(ZenohQuestion(kind, query), size):
+                self._refuse(query, _overloaded())
 
         return ask
+
+    def _refuse(self, query: zenoh.Query, error: ProtocolError) -> None:
+        self._metrics.refused.labels(str(error.code)).inc()
+        with query:
+            query.reply_err(error_bytes(error))
 
 
 def put_durable(session: zenoh.Session, key: str, payload: bytes) -> None:
@@ -137,7 +141,7 @@ def _too_large(size: int, limit: int) -> ProtocolError:
         ErrorCode.too_large,
         f"the message has {size} bytes",
         f"at most {limit}",
-        "send smaller images, or raise --max-message-bytes",
+        "send smaller or fewer images, or raise koop-serve's --max-message-bytes",
         {"limit": limit},
     )
 

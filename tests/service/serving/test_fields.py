@@ -88,7 +88,9 @@ def streamed(registry: Registry, dtype: type = np.float16, count: int = 40) -> T
 def test_fields_are_answered_in_the_streams_own_type(registry: Registry, dtype: type) -> None:
     trajectory = streamed(registry, dtype)
     assert trajectory.ready
-    reply = queries.predict(trajectory, PredictQuery(5, returns=frozenset({"frames", "codes"})))
+    reply = queries.predict(
+        trajectory, PredictQuery(5, returns=frozenset({"frames", "codes"})), Limits()
+    )
     found = decode(encode(reply))
     assert isinstance(found, PredictReply)
     assert found.frames is not None
