@@ -15,6 +15,7 @@ from koop_clients.pki.party import AUTHORITY, HUB, Party
 
 try:
     from koop_clients.pki.certificates import DAYS, check_host
+    from koop_clients.pki.configurations import endpoint
     from koop_clients.pki.deployment import REGISTER, Deployment
     from koop_clients.pki.storage import CONFIGURATION
 except ModuleNotFoundError as error:
@@ -87,7 +88,7 @@ class Init(Options):
             f"wrote {self.folder / AUTHORITY}: the authority's key. Whoever has it can be anybody; "
             "it stays here\n"
             f"wrote {self.folder / HUB}: the hub's certificate for {', '.join(self.server)}, until "
-            f"{deployment.expiry(HUB):%Y-%m-%d}\n"
+            f"{deployment.expiry(HUB):%Y-%m-%d}; it listens on {endpoint(self.listen, self.port)}\n"
             f"wrote {self.folder / REGISTER}: who may do what; nobody yet\n"
             f"next: koop-pki add robot7 --publishes line3/robot7{self._option}\n"
             f"      koop-serve --zenoh-config {deployment.configuration}"
@@ -196,7 +197,7 @@ class List(Options):
         deployment = self.deployment
         parties = deployment.parties
         width = max(len(name) for name in (AUTHORITY, HUB, *(party.name for party in parties)))
-        for name, summary in [(AUTHORITY, "signs"), (HUB, "is connected to")] + [
+        for name, summary in [(AUTHORITY, "the authority"), (HUB, "the hub")] + [
             (party.name, party.summary) for party in parties
         ]:
             print(f"{name:{width}}  {_validity(deployment, name)}  {summary}")
