@@ -14,12 +14,8 @@ from __future__ import annotations
 import argparse
 import json
 import multiprocessing
-import re
-import subprocess
-import sys
 import tempfile
 import time
-import urllib.request
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -27,8 +23,8 @@ from multiprocessing.synchronize import Event
 from pathlib import Path
 
 import numpy as np
-import psutil
 import zenoh
+from koop_serve import Service, service
 
 from koop_protocol import Frame, PredictQuery, decode, encode, frame_key, predict_key, state_key
 
@@ -109,51 +105,6 @@ def _encoding_rate(codec, batch: np.ndarray, seconds: float = 1.0) -> float:
 
 
 # The service
-
-
-@dataclass
-class Service:
-    process: subprocess.Popen[str]
-    endpoint: str
-    metrics_port: int
-
-    def resident(self) -> int:
-        """Resident memory [bytes]."""
-        return psutil.Process(self.process.pid).memory_info().rss
-
-    def metric(self, name: str) -> float:
-        """A metric's value, summed over its labels."""
-        url = f"http://127.0.0.1:{self.metrics_port}/metrics"
-        text = urllib.request.urlopen(url, timeout=10).read().decode()
-        values = re.findall(rf"^{name}(?:{{[^}}]*}})? (\S+)$", text, re.MULTILINE)
-        return sum(float(value) for value in values)
-
-
-@contextmanager
-def service(options: argparse.Namespace, folder: Path, weights: Path) -> Iterator[Service]:
-    command = [
-        *(sys.executable, "-m", "koop_service.cli", "--listen", "tcp/127.0.0.1:0"),
-        *("--models", f"benchmark/*={weights}", "--state-folder", str(folder / "state")),
-        *("--metrics-port", "0", "--threads", str(options.threads)),
-        *(("--batch", str(options.batch)) if options.batch else ()),
-    ]
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
-    try:
-        yield _started(process)
-    finally:
-        process.terminate()
-        process.wait(10)
-
-
-def _started(process: subprocess.Popen[str]) -> Service:
-    endpoint = port = None
-    assert process.stdout is not None
-    for line in process.stdout:
-        endpoint = endpoint or re.search(r"ready on (\S+)", line)
-        port = port or re.search(r"metrics: port (\d+)", line)
-        if endpoint and port:
-            return Service(process, endpoint[1], int(port[1]))
-    raise RuntimeError("koop-serve did not start")
 
 
 @contextmanager
@@ -269,7 +220,9 @@ class Load:
 def under_load(options: argparse.Namespace, folder: Path, weights: Path) -> dict[str, float]:
     """One trajectory first: what does not grow with their number is in place then."""
     names = [f"benchmark/{i}" for i in range(options.trajectories)]
-    with service(options, folder, weights) as served:
+    arguments = ["--models", f"benchmark/*={weights}", "--threads", str(options.threads)]
+    arguments += ["--batch", str(options.batch)] if options.batch else []
+    with service(folder / "state", *arguments) as served:
         alone = run(served, names[:1], 0, WARM_SECONDS)
         several = run(served, names, alone.sent, WARM_SECONDS)
         first = alone.sent + several.sent // len(names)

@@ -20,6 +20,7 @@ from koop_protocol import (
     PREDICTIONS,
     ErrorReply,
     Health,
+    Limits,
     LqrCancel,
     LqrEnd,
     LqrQuery,
@@ -40,6 +41,10 @@ NO_REPLY = "no_reply"
 """Code of a KoopError when nothing came back in time; every other code is the service's."""
 
 DEFAULT_TIMEOUT = 2.0  # s
+
+# Pictures asked for, or given as targets, may be large; how large, the service says. It gets no
+# more than this from Zenoh.
+_LIMITS = Limits(max_message_bytes=64 << 20)
 
 R = TypeVar("R", PredictReply, LqrReply, LqrEnd, StateReply, Health)
 
@@ -124,7 +129,7 @@ class KoopClient:
 
     def lqr(self, trajectory: str, query: LqrQuery, *, timeout: float | None = None) -> LqrReply:
         """Controls that bring the trajectory to the query's target."""
-        return self._ask(LqrReply, lqr_key(trajectory), encode(query), timeout)
+        return self._ask(LqrReply, lqr_key(trajectory), encode(query, _LIMITS), timeout)
 
     def begin(self, trajectory: str, task: LqrTask, *, timeout: float | None = None) -> LqrReply:
         """Register a task, or replace its owner's former one; the first plan.
@@ -132,7 +137,7 @@ class KoopClient:
         The owner's liveliness token must be declared: :class:`koop_clients.control.Controller`
         does so. No task has begun where the reply says that the model is not fit.
         """
-        return self._ask(LqrReply, lqr_key(trajectory), encode(task), timeout)
+        return self._ask(LqrReply, lqr_key(trajectory), encode(task, _LIMITS), timeout)
 
     def cancel(self, trajectory: str, owner: str, *, timeout: float | None = None) -> LqrEnd:
         """End the owner's task."""
@@ -193,7 +198,7 @@ def _read(kind: type[R], reply: zenoh.Reply) -> R | KoopError | None:
     if reply.ok is None:
         return _refusal(bytes(reply.err.payload) if reply.err else b"")
     try:
-        return decode_as(kind, bytes(reply.ok.payload))
+        return decode_as(kind, bytes(reply.ok.payload), _LIMITS)
     except ProtocolError as error:
         return KoopError(
             error.code,
@@ -214,5 +219,6 @@ def _no_reply(key: str, seconds: float) -> KoopError:
     return KoopError(
         NO_REPLY,
         f"nobody answered on {key} (waiting up to {seconds:g} s); check that `koop-serve` runs, "
-        "and that this session is connected to it",
+        "that this session is connected to it and, where the hub has access rules, that they let "
+        "this certificate ask",
     )

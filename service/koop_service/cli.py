@@ -10,7 +10,7 @@ import sys
 import threading
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, closing, contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 # The service's matrices are small, and threads for them would fight with the encoder's over the
@@ -145,10 +145,15 @@ def _started(
     """Intake, pipeline, outbox and all that they need, wired together; then the last snapshots."""
     limits = config.limits
     wire = Limits(max_message_bytes=limits.max_message_bytes, max_horizon=limits.max_horizon)
+    replies = replace(wire, max_message_bytes=limits.max_reply_bytes)
     intake: Intake[Question] = Intake(
         limits.queue_messages, limits.queue_bytes, limits.queue_queries, metrics.held.inc
     )
-    outbox = Outbox(lambda question: _finished(question, intake, metrics), metrics.unsent.inc)
+    outbox = Outbox(
+        lambda question: _finished(question, intake, metrics),
+        metrics.unsent.inc,
+        2 * limits.max_reply_bytes,
+    )
     reader = LogReader(session, intake.tell, wire.for_replays().max_message_bytes)
     recovery = Recovery(registry, reader.ask, metrics, wire, 2 * limits.max_trajectories)
     every = config.durability.snapshot_every
@@ -169,9 +174,9 @@ def _started(
     vitals.watch(NOT_DURABLE, lambda: not keeper.is_durable)
     vitals.watch(CATCHING_UP, lambda: recovery.behind > 0)
     strains = (queue, memory.strain)
-    replies = Replies(commander, wire)
-    shedding = Shedding(replies, strains)
-    desk = Desk(intake, registry, replies, recovery, outbox, metrics, vitals, shedding)
+    understood = Replies(commander, wire, replies)
+    shedding = Shedding(understood, strains)
+    desk = Desk(intake, registry, understood, recovery, outbox, metrics, vitals, shedding)
     measurements = Measurements(registry, refusals, recovery, metrics, wire, snapshotter.note)
     pipeline = Pipeline(
         intake,
@@ -309,7 +314,8 @@ def _greeting(service: Service) -> str:
         lines.append(f"  trajectories continued from the last run: {service.restored}")
     if service.metrics_port is not None:
         lines.append(f"  metrics: port {service.metrics_port}, /metrics")
-    lines.append("  try: koop-sim-client --system cartpole    (Ctrl-C stops)")
+    how = " --zenoh-config FILE" if "tls/" in where else ""
+    lines.append(f"  try: koop-sim-client --system cartpole{how}    (Ctrl-C stops)")
     return "\n".join(lines)
 
 

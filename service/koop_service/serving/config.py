@@ -41,8 +41,9 @@ class NetworkSettings:
     """Take pictures from sources on this machine through shared memory. Much faster for pictures
     above 100 KB; but Zenoh keeps about 18 MB for every source that ever connected."""
     zenoh_config: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="")] = None
-    """A raw Zenoh configuration file (JSON5 or YAML), for TLS and access control; the options above
-    act on top of it, and without them it decides alone."""
+    """A raw Zenoh configuration file (JSON5 or YAML), for TLS and access control, such as koop-pki
+    writes; its certificates lie beside it. The options above act on top of it, and without them it
+    decides alone."""
 
     def __post_init__(self) -> None:
         if self.listen == ():
@@ -159,20 +160,24 @@ class LimitSettings:
     costly predictions are answered 'overloaded'; 0 is no limit. A container's own limit should be a
     fifth larger."""
     max_message_bytes: int = 4 << 20
-    """Largest message [bytes]."""
+    """Largest message that is taken in [bytes]."""
+    max_reply_bytes: int = 32 << 20
+    """Largest answer [bytes]. Predicted frames fill it: 127 of the flow past the cylinder, which
+    take half a second to draw."""
     max_horizon: int = 1000
     """Longest prediction or control sequence [frames]."""
 
     def __post_init__(self) -> None:
         for name in ("max_trajectories", "queue_messages", "queue_queries", "max_horizon"):
             _require_at_least(name, getattr(self, name), 1)
+        for name in ("max_message_bytes", "max_reply_bytes"):
+            _require_at_least(name, getattr(self, name), 1024)
         if not 0 <= self.evict_after < math.inf:
             raise ValueError(f"evict_after is {self.evict_after}; expected 0 or more seconds")
         for name in ("max_query_rate", "max_memory"):
             _require_at_least(name, getattr(self, name), 0)
         if self.max_memory and not tells_memory():
             raise ValueError("max_memory needs /proc, which this system has not; leave it at 0")
-        _require_at_least("max_message_bytes", self.max_message_bytes, 1024)
         _require_at_least("queue_bytes", self.queue_bytes, self.max_message_bytes)
 
 

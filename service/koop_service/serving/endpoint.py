@@ -109,23 +109,27 @@ class Endpoint:
 
     def _asker(self, kind: KeyKind) -> Callable[[zenoh.Query], None]:
         def ask(query: zenoh.Query) -> None:
-            question = ZenohQuestion(kind, query, self._max_bytes)
+            size = 0 if query.payload is None else len(query.payload)
+            if size > self._max_bytes:
+                self._refuse(query, _too_large(size, self._max_bytes))
+                return
+            question = ZenohQuestion(kind, query)
             wait = self._pace.wait(question.key) if kind is KeyKind.predict else 0.0
             if wait:
                 self._metrics.shed.labels(_BY_RATE).inc()
-                self._refuse(question, _too_often(wait))
+                self._refuse(query, _too_often(wait))
             elif (refusal := self._shedding.refusal(question)) is not None:
-                self._refuse(question, refusal)
+                self._refuse(query, refusal)
             elif not self._intake.ask(question, question.size, kind):
                 self._metrics.shed.labels(_BY_COUNT).inc()
-                self._refuse(question, _too_many())
+                self._refuse(query, _too_many())
 
         return ask
 
-    def _refuse(self, question: Question, error: ProtocolError) -> None:
+    def _refuse(self, query: zenoh.Query, error: ProtocolError) -> None:
         self._metrics.refused.labels(str(error.code)).inc()
-        question.refuse(error_bytes(error))
-        question.close()
+        with query:
+            query.reply_err(error_bytes(error))
 
 
 def put_durable(session: zenoh.Session, key: str, payload: bytes) -> None:
@@ -154,7 +158,7 @@ def _too_large(size: int, limit: int) -> ProtocolError:
         ErrorCode.too_large,
         f"the message has {size} bytes",
         f"at most {limit}",
-        "send smaller images, or raise --max-message-bytes",
+        "send smaller or fewer images, or raise koop-serve's --max-message-bytes",
         {"limit": limit},
     )
 

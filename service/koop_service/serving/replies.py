@@ -42,9 +42,11 @@ class Reply:
 class Replies:
     """Understands questions, in any thread; what answers them is for the pipeline's alone."""
 
-    def __init__(self, commander: Commander, limits: Limits) -> None:
+    def __init__(self, commander: Commander, limits: Limits, outgoing: Limits) -> None:
+        """`limits` are those of questions, `outgoing` of the answers."""
         self._commander = commander
         self._limits = limits
+        self._outgoing = outgoing
 
     def understand(self, question: Question) -> Reply:
         """What to do about the question. Raises ProtocolError where it cannot be understood."""
@@ -54,7 +56,9 @@ class Replies:
             return self._control(decode(_required(question.payload), self._limits))
         prediction = self._prediction(question)
         costly = is_wildcard(question) or not _COSTLY.isdisjoint(prediction.returns)
-        return self._reply(lambda trajectory: queries.predict(trajectory, prediction), costly)
+        return self._reply(
+            lambda trajectory: queries.predict(trajectory, prediction, self._outgoing), costly
+        )
 
     def is_costly(self, question: Question) -> bool:
         """Whether the question is to be shed first; False where it cannot be understood."""
@@ -64,7 +68,7 @@ class Replies:
             return False
 
     def _reply(self, reply: Callable[[Trajectory], Message], costly: bool = False) -> Reply:
-        return Reply(lambda trajectory: encode(reply(trajectory), self._limits), costly)
+        return Reply(lambda trajectory: encode(reply(trajectory), self._outgoing), costly)
 
     def _prediction(self, question: Question) -> PredictQuery:
         if question.payload is None:
@@ -75,7 +79,9 @@ class Replies:
         """Tasks are never shed, nor is a plan without pictures: somebody may steer by it."""
         if isinstance(order, LqrQuery):
             costly = not _COSTLY.isdisjoint(order.returns)
-            return self._reply(lambda trajectory: queries.control(trajectory, order), costly)
+            return self._reply(
+                lambda trajectory: queries.control(trajectory, order, self._outgoing), costly
+            )
         if isinstance(order, LqrTask):
             return self._reply(lambda trajectory: self._commander.begin(trajectory, order))
         if isinstance(order, LqrCancel):
