@@ -24,7 +24,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from load import RENDERER, Service, pictures, serving, write_weights
+from koop_serve import Service, service
+from load import RENDERER, pictures, write_weights
 
 from koop_clients.connection import flush, open_session
 from koop_clients.replay.log import SourceLog
@@ -130,7 +131,7 @@ def under_fire(options: argparse.Namespace, folder: Path, weights: Path) -> dict
     down, caught_up, backlog, source = [], [], [], None
     killed_at = 0.0
     for kill in range(options.kills + 1):
-        with serving(folder, weights, "--max-trajectories", count, listen=endpoint) as served:
+        with service(folder / "state", *models(weights), listen=endpoint) as served:
             ready = time.monotonic()
             if source is None:
                 source = Source(endpoint, folder / "source.log", count, options.frames_per_s)
@@ -231,6 +232,10 @@ def same(found: dict[str, Any], expected: dict[str, Any]) -> bool:
     return True
 
 
+def models(weights: Path) -> tuple[str, str]:
+    return "--models", f"benchmark/*={weights}"
+
+
 def free_port() -> int:
     with closing(socket.socket()) as probe:
         probe.bind(("127.0.0.1", 0))
@@ -253,8 +258,8 @@ def cost(options: argparse.Namespace, folder: Path, weights: Path) -> dict[str, 
 def full_speed(options: argparse.Namespace, folder: Path, weights: Path, durable: bool) -> float:
     """Frames a second that the service takes from a source that is as fast as it can be."""
     count = options.trajectories
-    every = SNAPSHOTS if durable else 0
-    with serving(folder, weights, "--snapshot-every", every) as served:
+    every = str(SNAPSHOTS if durable else 0)
+    with service(folder / "state", *models(weights), "--snapshot-every", every) as served:
         source = Source(served.endpoint, folder / "log" if durable else None, count, np.inf)
         while served.metric("koop_frames_total") < 2 * count:
             time.sleep(0.1)

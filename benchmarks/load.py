@@ -1,19 +1,13 @@
-"""What benchmarks of the whole service share: the real `koop-serve`, a client, and pictures."""
+"""What benchmarks of the service under load share: a model, a plain client, and pictures."""
 
 from __future__ import annotations
 
 import json
-import re
-import subprocess
-import sys
-import urllib.request
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import psutil
 import zenoh
 
 from koop_protocol import Frame, encode, frame_key
@@ -31,53 +25,6 @@ def write_weights(folder: Path) -> Path:
     path = folder / "benchmark.safetensors"
     save_weights(path, initialised(8, seed=0), ModelCard("benchmark", "benchmark", 0.05))
     return path
-
-
-@dataclass
-class Service:
-    process: subprocess.Popen[str]
-    endpoint: str
-    metrics_port: int
-
-    def resident(self) -> int:
-        """Resident memory [bytes]."""
-        return psutil.Process(self.process.pid).memory_info().rss
-
-    def metric(self, name: str) -> float:
-        """A metric's value, summed over its labels."""
-        url = f"http://127.0.0.1:{self.metrics_port}/metrics"
-        text = urllib.request.urlopen(url, timeout=10).read().decode()
-        values = re.findall(rf"^{name}(?:{{[^}}]*}})? (\S+)$", text, re.MULTILINE)
-        return sum(float(value) for value in values)
-
-
-@contextmanager
-def serving(
-    folder: Path, weights: Path, *options: object, listen: str = "tcp/127.0.0.1:0"
-) -> Iterator[Service]:
-    """A service with its state in `folder`; it is ended politely, unless it is dead already."""
-    command = [
-        *(sys.executable, "-m", "koop_service.cli", "--listen", listen),
-        *("--models", f"benchmark/*={weights}", "--state-folder", str(folder / "state")),
-        *("--metrics-port", "0", *map(str, options)),
-    ]
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
-    try:
-        yield _started(process)
-    finally:
-        process.terminate()
-        process.wait(30)
-
-
-def _started(process: subprocess.Popen[str]) -> Service:
-    endpoint = port = None
-    assert process.stdout is not None
-    for line in process.stdout:
-        endpoint = endpoint or re.search(r"ready on (\S+)", line)
-        port = port or re.search(r"metrics: port (\d+)", line)
-        if endpoint and port:
-            return Service(process, endpoint[1], int(port[1]))
-    raise RuntimeError("koop-serve did not start")
 
 
 @contextmanager

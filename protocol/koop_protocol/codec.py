@@ -25,6 +25,7 @@ from koop_protocol.messages import (
     Durable,
     ErrorReply,
     Frame,
+    Health,
     LqrCancel,
     LqrEnd,
     LqrQuery,
@@ -36,6 +37,7 @@ from koop_protocol.messages import (
     ReplayQuery,
     ReplayReply,
     StateReply,
+    TrajectoryEnd,
 )
 from koop_protocol.packing import Buffer, check_packed_size, pack_map, unpack_map
 
@@ -55,6 +57,8 @@ M = TypeVar(
     ReplayQuery,
     ReplayReply,
     Durable,
+    Health,
+    TrajectoryEnd,
     ErrorReply,
 )
 
@@ -118,6 +122,8 @@ _LAYOUTS = (
     _layout("replay_query", ReplayQuery),
     _layout("replay_reply", ReplayReply),
     _layout("durable", Durable),
+    _layout("health", Health),
+    _layout("trajectory_end", TrajectoryEnd),
     _layout("error", ErrorReply),
 )
 _BY_NAME = {layout.name: layout for layout in _LAYOUTS}

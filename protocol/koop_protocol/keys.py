@@ -25,6 +25,8 @@ LQRS = "koop/lqr/**"
 COMMANDS = "koop/command/**"
 STATES = "koop/state/**"
 DURABLES = "koop/durable/**"
+HEALTH = "koop/health"
+"""Key on which every worker says that it lives."""
 CLIENT_TOKENS = "koop/@client/*"
 """Liveliness tokens of the clients that own tasks."""
 SOURCE_TOKENS = "koop/@source/**"
@@ -50,10 +52,12 @@ class KeyKind(StrEnum):
     command = "command"
     state = "state"
     durable = "durable"
+    health = "health"
 
 
 _SHARDED = frozenset({KeyKind.frame, KeyKind.control, KeyKind.replay, KeyKind.durable})
-_KINDS = {kind.value: kind for kind in KeyKind}
+_KINDS = {kind.value: kind for kind in KeyKind if kind is not KeyKind.health}
+"""Those whose keys name a trajectory."""
 
 
 class KoopKey(NamedTuple):
@@ -195,7 +199,7 @@ def parse_key(key: str) -> KoopKey:
     if root != "koop" or kind is None:
         raise ProtocolError(
             ErrorCode.bad_key,
-            f"{key[:MAX_NAME_LENGTH]!r} is not a key of koop",
+            f"{key[:MAX_NAME_LENGTH]!r} is not a key of a trajectory",
             f"koop/<kind>/... with a kind of {', '.join(_KINDS)}",
             "build keys with the functions of koop_protocol.keys",
         )

@@ -6,6 +6,7 @@ that a sender meets the same error as its receiver would.
 
 from __future__ import annotations
 
+from koop_protocol.lifecycle import Ending, Health, TrajectoryEnd
 from koop_protocol.lqr import LqrQuery, LqrReply
 from koop_protocol.measurements import Control, Frame
 from koop_protocol.predictions import (
@@ -34,6 +35,8 @@ Message = (
     | ReplayQuery
     | ReplayReply
     | Durable
+    | Health
+    | TrajectoryEnd
     | ErrorReply
 )
 
@@ -43,8 +46,10 @@ __all__ = [
     "Control",
     "Durable",
     "EndReason",
+    "Ending",
     "ErrorReply",
     "Frame",
+    "Health",
     "LqrCancel",
     "LqrEnd",
     "LqrQuery",
@@ -56,5 +61,6 @@ __all__ = [
     "ReplayQuery",
     "ReplayReply",
     "StateReply",
+    "TrajectoryEnd",
     "predict_query_from_parameters",
 ]

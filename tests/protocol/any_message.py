@@ -10,10 +10,12 @@ from koop_protocol import (
     Command,
     Control,
     Durable,
+    Ending,
     EndReason,
     ErrorCode,
     ErrorReply,
     Frame,
+    Health,
     LqrCancel,
     LqrEnd,
     LqrQuery,
@@ -24,6 +26,7 @@ from koop_protocol import (
     ReplayQuery,
     ReplayReply,
     StateReply,
+    TrajectoryEnd,
 )
 
 IMAGE_DTYPES = (np.uint8, np.float16, np.float32)
@@ -230,6 +233,17 @@ def replay_replies(draw):
     )
 
 
+healths = st.builds(
+    Health,
+    words,
+    words,
+    POSITIVE,
+    sequences,
+    sequences,
+    sequences,
+    st.none() | POSITIVE,
+    st.lists(words, max_size=3).map(tuple),
+)
 errors = st.builds(
     ErrorReply,
     st.sampled_from(ErrorCode) | st.just("a_later_code"),
@@ -251,5 +265,7 @@ messages = st.one_of(
     replay_queries,
     replay_replies(),
     st.builds(Durable, trajectories, epochs, sequences),
+    healths,
+    st.builds(TrajectoryEnd, trajectories, epochs, sequences, st.sampled_from(Ending), words),
     errors,
 )

@@ -17,9 +17,11 @@ from koop_protocol import (
     Command,
     Control,
     Durable,
+    Ending,
     EndReason,
     ErrorReply,
     Frame,
+    Health,
     LqrCancel,
     LqrEnd,
     LqrQuery,
@@ -31,6 +33,7 @@ from koop_protocol import (
     ReplayQuery,
     ReplayReply,
     StateReply,
+    TrajectoryEnd,
     decode,
     encode,
 )
@@ -156,6 +159,13 @@ EXAMPLES: dict[str, Message] = {
         dropped=5,
     ),
     "replay reply, empty": ReplayReply("cartpole/0", (), position=0, end=True),
+    "health, shortest": Health("serve:7", "0.1.0", 0.5, 0, 0, 0),
+    "health, degraded": Health(
+        "serve:7", "0.1.0", 3600.0, 100, 12, 3, 0.25, ("overloaded", "not_durable")
+    ),
+    "trajectory end": TrajectoryEnd(
+        "cartpole/0", "0123456789abcdef", 40, Ending.evicted, "idle for 900 s"
+    ),
     "durable": Durable("cartpole/0", "0123456789abcdef", 299),
     "error": ErrorReply(
         "warming_up",

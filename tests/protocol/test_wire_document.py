@@ -11,13 +11,20 @@ import numpy as np
 import pytest
 
 from koop_protocol import (
+    CATCHING_UP,
+    HEALTH,
+    NOT_DURABLE,
+    OVERLOADED,
+    SHORT_OF_MEMORY,
     Command,
     Control,
     Durable,
+    Ending,
     EndReason,
     ErrorCode,
     ErrorReply,
     Frame,
+    Health,
     Limits,
     LqrCancel,
     LqrEnd,
@@ -29,6 +36,7 @@ from koop_protocol import (
     ReplayQuery,
     ReplayReply,
     StateReply,
+    TrajectoryEnd,
     client_token,
     control_key,
     decode_as,
@@ -56,6 +64,8 @@ HEADINGS = {
     "replay_query": ReplayQuery,
     "replay_reply": ReplayReply,
     "durable": Durable,
+    "health": Health,
+    "trajectory_end": TrajectoryEnd,
     "error": ErrorReply,
 }
 
@@ -93,7 +103,8 @@ def test_the_shards_are_what_the_code_gives():
 
 def test_the_keys_are_keys():
     keys = [row[0].strip("`") for row in rows(section("## Keys")) if row[0].startswith("`koop")]
-    assert len(keys) == 8
+    keys.remove(HEALTH)
+    assert len(keys) == 9
     for key in keys:
         real = key.replace("<shard>", "1b").replace("<trajectory>", "cartpole/0")
         assert parse_key(real).trajectory == "cartpole/0"
@@ -116,6 +127,16 @@ def test_the_codes_are_all_there():
 def test_the_reasons_of_an_end_are_all_there():
     reasons = [row[0].strip("`") for row in rows(section("### lqr_end")) if len(row) == 2]
     assert reasons == [reason.value for reason in EndReason]
+
+
+def test_the_reasons_of_a_trajectory_s_end_are_all_there():
+    reasons = [row[0].strip("`") for row in rows(section("### trajectory_end")) if len(row) == 2]
+    assert reasons == [reason.value for reason in Ending]
+
+
+def test_the_words_of_health_are_all_there():
+    known = [row[0].strip("`") for row in rows(section("### health")) if len(row) == 2]
+    assert known == [OVERLOADED, SHORT_OF_MEMORY, NOT_DURABLE, CATCHING_UP]
 
 
 def test_the_token_of_an_owner_is_what_the_code_gives():

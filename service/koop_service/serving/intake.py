@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import threading
 import time
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Generic, TypeVar
@@ -65,7 +65,8 @@ class Intake(Generic[Q]):
 
     `put` blocks while the queue is full: it runs on the source's own link, so that the source is
     held back (what Zenoh's BLOCK means) and nothing is dropped. `ask` never blocks: an overloaded
-    service says so.
+    service says so. Each kind of query has bounds of its own, so that a flood of one leaves room
+    for the others.
     """
 
     def __init__(
@@ -87,8 +88,8 @@ class Intake(Generic[Q]):
         self._queries: deque[Waiting[Q]] = deque()
         self._presences: deque[Presence] = deque()
         self._news: deque[LogNews] = deque()
-        self._unanswered = 0
-        self._query_bytes = 0
+        self._unanswered: Counter[str] = Counter()
+        self._query_bytes: Counter[str] = Counter()
         self._messages = 0
         self._bytes = 0
         self._tickets = 0
@@ -102,7 +103,12 @@ class Intake(Generic[Q]):
     @property
     def unanswered(self) -> int:
         """Queries taken in and not answered yet."""
-        return self._unanswered
+        return self._unanswered.total()
+
+    @property
+    def load(self) -> float:
+        """How full the queue of measurements is: from 1 on sources are held back."""
+        return max(self._messages / self._max_messages, self._bytes / self._max_bytes)
 
     def put(self, key: str, data: bytes, fault: ProtocolError | None = None) -> bool:
         """Add a measurement, waiting for space; False if the queue was closed instead."""
@@ -117,23 +123,23 @@ class Intake(Generic[Q]):
             self._work.notify()
         return True
 
-    def ask(self, query: Q, size: int = 0) -> bool:
-        """Add a query of `size` bytes; False if there are too many already, or too large ones."""
+    def ask(self, query: Q, size: int = 0, kind: str = "") -> bool:
+        """Add a query of `size` bytes; False if too many of its kind wait, or too large ones."""
         with self._lock:
-            too_many = self._unanswered >= self._max_queries
-            if self._closed or too_many or self._query_bytes + size > self._max_bytes:
+            too_many = self._unanswered[kind] >= self._max_queries
+            if self._closed or too_many or self._query_bytes[kind] + size > self._max_bytes:
                 return False
-            self._unanswered += 1
-            self._query_bytes += size
+            self._unanswered[kind] += 1
+            self._query_bytes[kind] += size
             self._queries.append(Waiting(query, self._next_ticket()))
             self._work.notify()
         return True
 
-    def answered(self, size: int = 0) -> None:
-        """Make room for another query, after one of `size` bytes."""
+    def answered(self, size: int = 0, kind: str = "") -> None:
+        """Make room for another query, after one of `size` bytes of this kind."""
         with self._lock:
-            self._unanswered -= 1
-            self._query_bytes -= size
+            self._unanswered[kind] -= 1
+            self._query_bytes[kind] -= size
 
     def notice(self, presence: Presence) -> None:
         """Add that an owner came or went; never blocks, and is never refused."""

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from koop_protocol import (
     Control,
+    Ending,
     ErrorCode,
     Frame,
     KeyKind,
@@ -84,12 +85,24 @@ class Measurements:
             message = self._read(arrival)
             if message is None:
                 continue
-            if self._registry.would_replace(message):
-                # A new run with other controls: what its predecessor sent goes first.
+            if self._must_go_first(accepted, message):
                 advanced |= self._fold(accepted)
                 accepted = []
             self._accept(arrival, message, accepted)
         return advanced | self._fold(accepted)
+
+    def _must_go_first(self, accepted: list[_Accepted], message: Frame | Control) -> bool:
+        """Whether what was accepted has to be folded before this message is looked at.
+
+        Because it is a new run's with other controls, or a trajectory leaves memory for it.
+        """
+        leaves = self._registry.displaced_by(message)
+        if leaves is not None and any(item.trajectory is leaves for item in accepted):
+            return True
+        try:
+            return self._registry.would_replace(message)
+        except ProtocolError:
+            return False  # it will be refused for that
 
     def _read(self, arrival: Arrival) -> Frame | Control | None:
         try:
@@ -136,12 +149,15 @@ class Measurements:
         folded, replayed = {Frame: 0, Control: 0}, 0
         advanced: dict[Trajectory, float] = {}
         for item in accepted:
-            before = item.trajectory.last_seq
+            before, epoch = item.trajectory.last_seq, item.trajectory.epoch
             if self._fold_one(item):
                 folded[type(item.message)] += 1
                 replayed += item.arrival.replayed
             if item.trajectory.last_seq != before and not item.arrival.replayed:
                 advanced[item.trajectory] = item.arrival.at
+            if item.trajectory.epoch != epoch:
+                name, over = item.trajectory.name, Ending.replaced_epoch
+                self._registry.ended(name, epoch, before + 1, over)
         touched = {item.trajectory: None for item in accepted}
         self._changed(touched)
         try:
@@ -203,7 +219,7 @@ class Measurements:
         self._metrics.batch.observe(len(group))
 
     def _reject(self, lane: str, error: ProtocolError) -> None:
-        trajectory = self._registry.find(lane)
+        trajectory = self._registry.held(lane)
         if trajectory is not None:
             trajectory.rejected[str(error.code)] += 1
         self._refusals.note(lane, error)

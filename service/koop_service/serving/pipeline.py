@@ -17,15 +17,19 @@ from collections.abc import Callable
 from koop_service.serving.desk import Desk
 from koop_service.serving.durability.recovery import Recovery
 from koop_service.serving.durability.snapshotter import Snapshotter
+from koop_service.serving.eviction import Eviction
 from koop_service.serving.intake import Arrival, Intake
 from koop_service.serving.measurements import Measurements
 from koop_service.serving.questions import Question
 from koop_service.serving.steering.commander import Commander
+from koop_service.serving.vitals import Vitals
 
 log = logging.getLogger("koop.pipeline")
 
 _ANSWERING = 0.01
 """Longest time spent on answers between two batches [s]."""
+_BRIEFLY = 0.002
+"""The same while measurements come faster than they are folded [s]."""
 _FINISHING = 0.5
 """Longest time spent on what still waits when the service stops [s]."""
 _IDLE = 1.0
@@ -43,8 +47,10 @@ class Pipeline:
         measurements: Measurements,
         desk: Desk,
         commander: Commander,
+        vitals: Vitals,
         recovery: Recovery,
         snapshotter: Snapshotter,
+        eviction: Eviction,
         batch: int,
         lost: Callable[[int], None],
     ) -> None:
@@ -52,8 +58,10 @@ class Pipeline:
         self._measurements = measurements
         self._desk = desk
         self._commander = commander
+        self._vitals = vitals
         self._recovery = recovery
         self._snapshotter = snapshotter
+        self._eviction = eviction
         self._batch = batch
         self._lost = lost
         self._stopping = threading.Event()
@@ -76,19 +84,22 @@ class Pipeline:
 
     def step(self) -> None:
         """One turn of the loop."""
+        self._vitals.turn()
         self._desk.collect()
         # After the questions: whoever asks for a task has declared its token before.
         self._commander.attend(self._intake.take_presences())
         self._recovery.attend(self._intake.take_news())
         self._process(self._urgent())
-        self._desk.answer(_ANSWERING)
+        self._desk.answer(_BRIEFLY if self._vitals.overloaded else _ANSWERING)
         self._replay()
         self._process(self._intake.take(self._batch))
         self._snapshotter.step()
+        self._eviction.step()
 
     def _process(self, arrivals: list[Arrival]) -> None:
         if arrivals:
             self._commander.command(self._measurements.process(arrivals))
+            self._vitals.folded()
 
     def _replay(self) -> None:
         """Fold what logs have sent, a batch at most, and the live messages that waited for it."""

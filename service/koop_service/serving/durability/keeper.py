@@ -85,6 +85,11 @@ class Keeper:
             self._batch = batch
             self._work.notify_all()
 
+    def wait(self) -> None:
+        """Until what was handed over is stored, or has failed."""
+        with self._work:
+            self._work.wait_for(lambda: self._batch is None)
+
     def take_failed(self) -> set[str]:
         """Trajectories whose snapshots could not be stored since the last call."""
         with self._work:

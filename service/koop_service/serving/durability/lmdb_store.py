@@ -8,9 +8,11 @@ from __future__ import annotations
 
 import logging
 import os
+import threading
 import time
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from contextlib import contextmanager
+from itertools import islice
 from pathlib import Path
 from typing import Any, cast
 
@@ -45,6 +47,9 @@ class LmdbStore:
     def __init__(self, folder: Path) -> None:
         self._path = folder / _FILE
         self._environment: lmdb.Environment | None = None
+        self._records: Any = None
+        # Held where nobody may be reading: while the map grows, and while the file is opened anew.
+        self._reading = threading.RLock()
         _prepare(folder)
         self._set_aside_if_unfit()
         with self._opened():
@@ -65,12 +70,23 @@ class LmdbStore:
 
         return self._write(write)
 
-    def load(self, shards: Collection[str]) -> dict[str, bytes]:
+    def load(self, shards: Collection[str], most: int | None = None) -> dict[str, bytes]:
         """See SnapshotStore."""
         with self._opened() as environment:
             records = environment.open_db(RECORDS)
             with environment.begin(db=records) as transaction:
-                return dict(_records_in(transaction, shards))
+                return dict(islice(_records_in(transaction, shards), most))
+
+    def find(self, name: str) -> bytes | None:
+        """See SnapshotStore."""
+        with self._reading:  # and nothing is closed here: another thread may be writing
+            try:
+                environment = self._present()
+                with environment.begin(db=self._records) as transaction:
+                    found = transaction.get(_key(name))
+            except lmdb.Error as error:
+                raise StoreError(f"the state in {self._path} cannot be read: {error}") from error
+        return None if found is None else bytes(found)
 
     def save(self, claim: Claim, records: Mapping[str, bytes]) -> None:
         """See SnapshotStore."""
@@ -92,9 +108,10 @@ class LmdbStore:
 
     def close(self) -> None:
         """See SnapshotStore."""
-        environment, self._environment = self._environment, None
-        if environment is not None:
-            environment.close()
+        with self._reading:
+            environment, self._environment = self._environment, None
+            if environment is not None:
+                environment.close()
 
     def _change(
         self, claim: Claim, names: Iterable[str], change: Callable[[lmdb.Transaction], None]
@@ -116,20 +133,28 @@ class LmdbStore:
                 try:
                     return write(environment)
                 except lmdb.MapFullError:
-                    environment.set_mapsize(2 * environment.info()["map_size"])
+                    with self._reading:
+                        environment.set_mapsize(2 * environment.info()["map_size"])
                 except lmdb.MapResizedError:  # by another process
-                    environment.set_mapsize(0)
+                    with self._reading:
+                        environment.set_mapsize(0)
 
     @contextmanager
     def _opened(self) -> Iterator[lmdb.Environment]:
         """The environment. After an error of LMDB's it is opened anew: some leave it unusable."""
         try:
-            if self._environment is None:
-                self._environment = _open(self._path)
-            yield self._environment
+            yield self._present()
         except lmdb.Error as error:
             self.close()
             raise StoreError(f"the state in {self._path} cannot be used: {error}") from error
+
+    def _present(self) -> lmdb.Environment:
+        with self._reading:
+            if self._environment is None:
+                self._environment = _open(self._path)
+                # Kept, since to ask for it again is a write, and waits for other writers.
+                self._records = self._environment.open_db(RECORDS)
+            return self._environment
 
     def _set_aside_if_unfit(self) -> None:
         if not self._path.exists():

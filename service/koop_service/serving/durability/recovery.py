@@ -48,9 +48,8 @@ class _Source:
 
     here: its token is there. mute: its log does not answer, and is done without. asked: the number
     of the question under way, until its answer is folded. again: when to ask next [s].
-    behind_since: when it fell behind [s]. waiting_since, held_at: when the first and the newest live
-    message were held since the last
-    answer [s].
+    behind_since: when it fell behind [s]. waiting_since, held_at: when the first and the newest
+    live message were held since the last answer [s].
     """
 
     name: str
@@ -155,6 +154,7 @@ class Recovery:
         source = self._sources.get(presence.trajectory)
         if source is not None:
             source.here = False
+            self._registry.tell_gone(presence.trajectory)
 
     def _source(self, name: str) -> _Source | None:
         """The source of that name, new where there is room for it."""
@@ -188,9 +188,13 @@ class Recovery:
                 self._ask_one(source)
 
     def _ask_one(self, source: _Source) -> None:
+        try:
+            trajectory = self._registry.find(source.name)
+        except ProtocolError as error:  # no room in memory, or its state cannot be read
+            self._fail(source, str(error))
+            return
         # Whatever may come alone fits into an answer, and what may not would be refused anyway.
-        most = self._limits.max_message_bytes
-        query = source.catch_up.question(self._registry.find(source.name), most)
+        query = source.catch_up.question(trajectory, self._limits.max_message_bytes)
         source.asked = next(self._numbers)
         self._metrics.replays.inc()
         self._ask(LogQuestion(source.asked, source.name, query))

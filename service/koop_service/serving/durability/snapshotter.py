@@ -9,8 +9,10 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterable
+from typing import Any
 
 from koop_protocol import Durable
+from koop_service.serving.durability.archive import Archive
 from koop_service.serving.durability.keeper import Keeper, Snapshot
 from koop_service.serving.records import snapshot_of
 from koop_service.serving.registry import Registry
@@ -18,6 +20,8 @@ from koop_service.serving.trajectories import Trajectory
 
 _BUDGET = 0.002
 """Time for copies between two batches [s]."""
+_LEAVING = 1024
+"""Trajectories that may have left memory without being on disk; further ones wait for the disk."""
 _LONG, _STORING = 3600.0, 0.02
 """Pauses where there is nothing to do, and while the former round is being stored [s]."""
 
@@ -33,18 +37,21 @@ class Snapshotter:
         self,
         registry: Registry,
         keeper: Keeper,
+        archive: Archive,
         is_logged: Callable[[str], bool],
         every: float,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self._registry = registry
         self._keeper = keeper
+        self._archive = archive
         self._is_logged = is_logged
         self._every = every
         self._clock = clock
         self._changed: dict[str, None] = {}
         self._due: list[str] = []
         self._batch: dict[str, Snapshot] = {}
+        self._handed: dict[str, Snapshot] = {}
         self._next = clock() + every
         self._changed_since: float | None = None
         self._round_since: float | None = None
@@ -86,9 +93,51 @@ class Snapshotter:
         self._begin()
         self._copy(float("inf"))
 
+    # Trajectories that leave memory, and come back
+
+    def has_room(self) -> bool:
+        """Whether a further trajectory may leave; waits for the disk where many have left."""
+        if len(self._archive) < _LEAVING:
+            return True
+        if not self._keeper.is_durable:
+            return False
+        self.finish()
+        self._keeper.wait()
+        self._settle()
+        return len(self._archive) < _LEAVING
+
+    def leave(self, trajectory: Trajectory) -> None:
+        """It leaves memory: keep what is not on the disk yet."""
+        name = trajectory.name
+        if trajectory.stream.epoch is None:
+            return  # nothing was folded
+        if name in self._changed or name in self._due:
+            self._archive.add(name, self._snapshot(trajectory))
+        elif name in self._batch:
+            self._archive.add(name, self._batch[name])
+        elif name in self._handed:
+            self._archive.add(name, self._handed[name])
+
+    def recall(self, name: str) -> dict[str, Any] | None:
+        """The record of a trajectory that may come back; raises as `Archive.recall`."""
+        return self._archive.recall(name)
+
+    def arrived(self, name: str) -> None:
+        """It came back."""
+        if self._archive.remove(name):
+            self._changed[name] = None
+
+    def _settle(self) -> set[str]:
+        """After the keeper is done with a batch; which trajectories are not stored after all."""
+        failed = self._keeper.take_failed()
+        self._archive.settle({n: s for n, s in self._handed.items() if n not in failed})
+        self._handed = {}
+        return failed
+
     def _begin(self) -> None:
         self._next = self._clock() + self._every
-        failed = self._keeper.take_failed()
+        self._keeper.wait()
+        failed = self._settle()
         changed = dict.fromkeys([*self._due, *failed, *self._changed])
         since = (self._round_since if failed or self._due else None, self._changed_since)
         self._round_since = min((t for t in since if t is not None), default=None)
@@ -99,13 +148,16 @@ class Snapshotter:
         """Copy the next ones; hand them over after the last."""
         while self._due:
             name = self._due.pop()
-            trajectory = self._registry.find(name)
-            if trajectory is not None and trajectory.stream.epoch is not None:
+            leaving, trajectory = self._archive.leaving(name), self._registry.held(name)
+            if leaving is not None:
+                self._batch[name] = leaving
+            elif trajectory is not None and trajectory.stream.epoch is not None:
                 self._batch[name] = self._snapshot(trajectory)
             if self._clock() >= deadline:
                 break
         if not self._due and self._batch:
             batch, self._batch = self._batch, {}
+            self._handed = batch
             self._keeper.hand_over(batch)
 
     def _snapshot(self, trajectory: Trajectory) -> Snapshot:

@@ -76,9 +76,17 @@ class SnapshotStore(Protocol):
         """Take these shards over, at once and as one, from whoever has them."""
         ...
 
-    def load(self, shards: Collection[str]) -> dict[str, bytes]:
-        """The records of all trajectories of these shards. Claim them first: else the former owner
-        may still change them."""
+    def load(self, shards: Collection[str], most: int | None = None) -> dict[str, bytes]:
+        """The records of the trajectories of these shards, `most` of them. Claim the shards first:
+        else the former owner may still change them."""
+        ...
+
+    def find(self, name: str) -> bytes | None:
+        """The record of one trajectory, where there is one.
+
+        Alone of all methods it may be called while another thread is in `save` or `delete`; the
+        caller waits for it, so it has to be fast.
+        """
         ...
 
     def save(self, claim: Claim, records: Mapping[str, bytes]) -> None:
