@@ -217,7 +217,7 @@ def _key(name: str) -> bytes:
 def _records_in(
     transaction: lmdb.Transaction, shards: Collection[str]
 ) -> Iterator[tuple[str, bytes]]:
-    for shard in shards:
+    for shard in sorted(shards):
         prefix, cursor = f"{shard}/".encode(), transaction.cursor()
         found = cursor.set_range(prefix)
         while found and bytes(cursor.key()).startswith(prefix):
