@@ -88,7 +88,7 @@ class Office:
         self.queue = Strain(QUEUE, self.metrics)
         memory = Memory(0, Strain(MEMORY, self.metrics))
         self.vitals = Vitals("here:1", self.intake, registry, self.queue, memory)
-        self.outbox = Outbox(self.order.append, lambda: None)
+        self.outbox = Outbox(self.order.append, lambda: None, 1 << 20)
         replies = Replies(commander, Limits(), Limits())
         self.desk = Desk(
             self.intake,
