@@ -38,9 +38,11 @@ bench: $(TEST_STAMP) ## Print the benchmark tables
 	$(BIN)/python benchmarks/commands.py
 	$(BIN)/python benchmarks/service.py
 	$(BIN)/python benchmarks/training.py
+	$(BIN)/python benchmarks/mixed.py
 	$(BIN)/python benchmarks/flow.py
 	$(BIN)/python benchmarks/failover.py
 	$(BIN)/python benchmarks/workers.py
+	$(BIN)/python benchmarks/flow_physics.py --quick
 
 pins: ## Write constraints.txt anew from the newest versions that pyproject.toml allows
 	rm -rf $(PINS)
