@@ -43,7 +43,7 @@ bench: $(TEST_STAMP) ## Print the benchmark tables
 pins: ## Write constraints.txt anew from the newest versions that pyproject.toml allows
 	rm -rf $(PINS)
 	$(PYTHON) -m venv $(PINS)
-	$(PINS)/bin/python -m pip install '.[service,sim,train,dev]'
+	$(PINS)/bin/python -m pip install '.[service,sim,train,dev,fuzz]'
 	@# A local suffix (+cpu) names one machine's build, and CUDA's packages follow from torch's own pin.
 	( grep '^#' constraints.txt; \
 	  $(PINS)/bin/python -m pip freeze --all --exclude pip --exclude koop \
