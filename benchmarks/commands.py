@@ -11,8 +11,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import subprocess
-import sys
 import tempfile
 import threading
 import time
@@ -29,6 +27,7 @@ from koop_clients.mechanics.systems import build_system
 from koop_clients.mechanics.trajectories import simulate
 from koop_clients.sources import FrameSource
 from koop_protocol import LqrQuery
+from serving import serving
 
 WARM = 100  # frames before the tasks begin
 METHODS = ("qp", "gain")
@@ -87,17 +86,11 @@ def drive(
     method: str, options: argparse.Namespace, runs: list, folder: Path
 ) -> tuple[list[float], int]:
     """Frame put to command there [s], and how many frames got no command."""
-    command = [sys.executable, "-m", "koop_service.cli", "--listen", "tcp/127.0.0.1:0"]
-    command += ["--state-folder", str(folder), "--log-level", "warning"]
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
-    try:
-        assert process.stdout is not None
-        endpoint = process.stdout.readline().rsplit(" ", 1)[-1].strip()
-        with open_session(endpoint, wait=10.0) as session:
-            return _drive(session, method, options, runs)
-    finally:
-        process.terminate()
-        process.wait(10)
+    with (
+        serving(folder, metrics=False) as served,
+        open_session(served.endpoint, wait=10.0) as session,
+    ):
+        return _drive(session, method, options, runs)
 
 
 def _drive(

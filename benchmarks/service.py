@@ -13,27 +13,19 @@ from __future__ import annotations
 import argparse
 import json
 import multiprocessing
-import re
-import subprocess
-import sys
 import tempfile
 import time
-import urllib.request
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 from multiprocessing.synchronize import Event
 from pathlib import Path
 
 import numpy as np
-import psutil
 import zenoh
 
-from koop_protocol import Frame, PredictQuery, decode, encode, frame_key, predict_key, state_key
+from koop_clients.connection import open_session
+from koop_protocol import PredictQuery, decode, encode, predict_key, state_key
+from serving import PICTURES, Service, Templates, growth, pictures, serving, write_weights
 
-SIZE = 64
-PICTURES = 128
-EPOCH = "0123456789abcdef"
 HORIZON = 20
 QUERY_INTERVAL = 0.02  # s
 WARM_SECONDS = 3.0
@@ -67,16 +59,6 @@ def parse_options() -> argparse.Namespace:
 # The encoder alone
 
 
-def write_weights(folder: Path) -> Path:
-    """Weights of the paper's size; what they have learned does not change how fast they are."""
-    from koop_service.encoding.autoencoder import initialised
-    from koop_service.encoding.weights import ModelCard, save_weights
-
-    path = folder / "benchmark.safetensors"
-    save_weights(path, initialised(8, seed=0), ModelCard("benchmark", "benchmark", 0.05))
-    return path
-
-
 def bare_encoder(weights: Path, threads: int) -> float:
     """Frames a second of ImageCodec.encode alone, at its best batch size, in a fresh process."""
     with multiprocessing.get_context("spawn").Pool(1) as pool:
@@ -104,110 +86,14 @@ def _encoding_rate(codec, batch: np.ndarray, seconds: float = 1.0) -> float:
     return count / elapsed
 
 
-# The service
-
-
-@dataclass
-class Service:
-    process: subprocess.Popen[str]
-    endpoint: str
-    metrics_port: int
-
-    def resident(self) -> int:
-        """Resident memory [bytes]."""
-        return psutil.Process(self.process.pid).memory_info().rss
-
-    def metric(self, name: str) -> float:
-        """A metric's value, summed over its labels."""
-        url = f"http://127.0.0.1:{self.metrics_port}/metrics"
-        text = urllib.request.urlopen(url, timeout=10).read().decode()
-        values = re.findall(rf"^{name}(?:{{[^}}]*}})? (\S+)$", text, re.MULTILINE)
-        return sum(float(value) for value in values)
-
-
-@contextmanager
-def service(options: argparse.Namespace, folder: Path, weights: Path) -> Iterator[Service]:
-    command = [
-        *(sys.executable, "-m", "koop_service.cli", "--listen", "tcp/127.0.0.1:0"),
-        *("--models", f"benchmark/*={weights}", "--state-folder", str(folder / "state")),
-        *("--metrics-port", "0", "--threads", str(options.threads)),
-        *(("--batch", str(options.batch)) if options.batch else ()),
-    ]
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
-    try:
-        yield _started(process)
-    finally:
-        process.terminate()
-        process.wait(10)
-
-
-def _started(process: subprocess.Popen[str]) -> Service:
-    endpoint = port = None
-    assert process.stdout is not None
-    for line in process.stdout:
-        endpoint = endpoint or re.search(r"ready on (\S+)", line)
-        port = port or re.search(r"metrics: port (\d+)", line)
-        if endpoint and port:
-            return Service(process, endpoint[1], int(port[1]))
-    raise RuntimeError("koop-serve did not start")
-
-
-@contextmanager
-def client(endpoint: str) -> Iterator[zenoh.Session]:
-    config = zenoh.Config()
-    for key, value in {
-        "mode": "client",
-        "connect/endpoints": [endpoint],
-        "scouting/multicast/enabled": False,
-        "transport/link/tx/queue/congestion_control/block/wait_before_close": 600_000_000,
-    }.items():
-        config.insert_json5(key, json.dumps(value))
-    with zenoh.open(config) as session:
-        yield session
-
-
 # The load
-
-
-def pictures(count: int) -> np.ndarray:
-    """A cart with its pole, (count, 64, 64) uint8, prepared before anything is timed."""
-    y, x = np.mgrid[0:SIZE, 0:SIZE] / SIZE - 0.5
-    return np.stack([_picture(x, y, 0.1 * i) for i in range(count)])
-
-
-def _picture(x: np.ndarray, y: np.ndarray, phase: float) -> np.ndarray:
-    position, angle = 0.2 * np.sin(phase), 1.3 * np.cos(0.7 * phase)
-    u, v = x - position, y
-    along = np.clip(u * np.sin(angle) - v * np.cos(angle), 0.0, 0.35)
-    pole = np.hypot(u - along * np.sin(angle), v + along * np.cos(angle)) - 0.03
-    cart = np.maximum(abs(u) - 0.1, abs(v) - 0.04)
-    return np.clip(255 * (0.5 - SIZE * np.minimum(pole, cart)), 0, 255).astype(np.uint8)
-
-
-class Templates:
-    """Frames packed beforehand; only the number in them is written anew at each put."""
-
-    PLACEHOLDER = 2**52 + 1
-
-    def __init__(self, trajectory: str, images: np.ndarray) -> None:
-        packed = [
-            encode(Frame(trajectory, EPOCH, self.PLACEHOLDER, 0, image, "benchmark"))
-            for image in images
-        ]
-        mark = self.PLACEHOLDER.to_bytes(8, "big")
-        self.key = frame_key(trajectory)
-        self._parts = [message.split(mark) for message in packed]
-
-    def message(self, seq: int) -> bytes:
-        head, tail = self._parts[seq % len(self._parts)]
-        return head + seq.to_bytes(8, "big") + tail
 
 
 def publish(endpoint: str, trajectories: list[str], first: int, stop: Event, sent) -> None:
     """Put frames of all trajectories in turn, as fast as they are taken, until told to stop."""
     images = pictures(PICTURES)
     templates = [Templates(name, np.roll(images, i, 0)[:16]) for i, name in enumerate(trajectories)]
-    with client(endpoint) as session:
+    with open_session(endpoint) as session:
         publishers = [
             session.declare_publisher(t.key, congestion_control=zenoh.CongestionControl.BLOCK)
             for t in templates
@@ -228,7 +114,7 @@ def ask(endpoint: str, trajectories: list[str], stop: Event, results) -> None:
     """Ask for a prediction every 20 ms, and note how long the answer took."""
     query, choose = encode(PredictQuery(HORIZON)), np.random.default_rng(0)
     latencies, refusals = [], []
-    with client(endpoint) as session:
+    with open_session(endpoint) as session:
         while not stop.is_set():
             key = predict_key(trajectories[choose.integers(len(trajectories))])
             start = time.perf_counter()
@@ -255,13 +141,18 @@ class Load:
 def under_load(options: argparse.Namespace, folder: Path, weights: Path) -> dict[str, float]:
     """One trajectory first: what does not grow with their number is in place then."""
     names = [f"benchmark/{i}" for i in range(options.trajectories)]
-    with service(options, folder, weights) as served:
+    with serving(folder, *service_options(options, weights)) as served:
         alone = run(served, names[:1], 0, WARM_SECONDS)
         several = run(served, names, alone.sent, WARM_SECONDS)
         first = alone.sent + several.sent // len(names)
         load = run(served, names, first, 60.0 * options.minutes)
         held = served.metric("koop_held_total")
     return figures_of(options, load, alone.resident[-1][1]) | {"held_back": held}
+
+
+def service_options(options: argparse.Namespace, weights: Path) -> list[object]:
+    batch = ("--batch", options.batch) if options.batch else ()
+    return ["--models", f"benchmark/*={weights}", "--threads", options.threads, *batch]
 
 
 def run(served: Service, names: list[str], first: int, seconds: float) -> Load:
@@ -317,12 +208,6 @@ def watch(served: Service, seconds: float) -> tuple[float, list[tuple[float, int
         time.sleep(0.5)
     rate = (served.metric("koop_frames_total") - frames) / (time.monotonic() - start)
     return rate, resident
-
-
-def growth(resident: list[tuple[float, int]]) -> float:
-    """Slope over the second half [bytes/min]."""
-    half = np.array(resident[len(resident) // 2 :], dtype=float)
-    return 60.0 * float(np.polyfit(half[:, 0], half[:, 1], 1)[0])
 
 
 def print_table(figures: dict[str, float]) -> None:

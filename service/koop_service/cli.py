@@ -44,6 +44,8 @@ from koop_service.serving.steering.tasks import Tasks
 
 log = logging.getLogger("koop.service")
 
+_LOOK = 0.2
+"""Seconds between two looks at whether a signal has come."""
 _RETRY = 0.5
 """Seconds between two attempts to reach a router."""
 _LAST_BATCH = 0.7
@@ -84,7 +86,9 @@ def serve(config: ServiceConfig) -> int:
         return 0
     with session, running(config, session) as service:
         print(_greeting(service), flush=True)
-        stop.wait()
+        # A signal that comes to another thread, or just before the wait, does not interrupt it.
+        while not stop.wait(_LOOK):
+            continue
     return 0
 
 
@@ -127,7 +131,11 @@ def _start(
     limits = config.limits
     wire = Limits(max_message_bytes=limits.max_message_bytes, max_horizon=limits.max_horizon)
     intake: Intake[Question] = Intake(
-        limits.queue_messages, limits.queue_bytes, limits.queue_queries, metrics.held.inc
+        limits.queue_messages,
+        limits.queue_bytes,
+        limits.queue_queries,
+        metrics.held.inc,
+        known=registry.__contains__,
     )
     outbox = Outbox(lambda question: _finished(question, intake, metrics), metrics.unsent.inc)
     tasks = Tasks()

@@ -89,8 +89,8 @@ class Desk:
 
     @property
     def busy(self) -> bool:
-        """Whether somebody waits for an answer."""
-        return bool(self._pending)
+        """Whether there is something to do for an answer, at once."""
+        return any(pending.lane is not None or self._is_due(pending) for pending in self._pending)
 
     def urgent(self) -> Iterator[tuple[str, int]]:
         """Trajectories that a question waits for, and before which ticket."""
