@@ -28,10 +28,10 @@ from typing import Any
 import numpy as np
 import zenoh
 
-from fuzzing.mutation import mutated
 from koop_clients.connection import flush, open_session
 from koop_protocol import PredictQuery, encode, frame_key, predict_key, shard_of
-from serving import PICTURES, Service, Templates, pictures, serving, write_weights
+from nonsense import spoilt_frames
+from serving import PICTURES, Service, Templates, ask, pictures, serving, write_weights
 
 INTERVAL = 0.05  # s between two frames of a source
 HORIZON = 20
@@ -70,7 +70,7 @@ def measure(options: argparse.Namespace, served: Service) -> dict[str, float]:
     stop = context.Event()
     arguments = (served.endpoint, options.sources, stretch, stop, results)
     processes = [
-        context.Process(target=ask, args=arguments),
+        context.Process(target=stream, args=arguments),
         context.Process(target=flood, args=(served.endpoint, kind, stop, results)),
     ]
     for process in processes:
@@ -158,15 +158,14 @@ class Source:
         )
         self.seq += 1
 
-        def arrived(reply: zenoh.Reply) -> None:
-            if stretch >= 0 and reply.ok is not None:
+        def arrived(code: str) -> None:
+            if stretch >= 0 and not code:
                 self.latencies.append((stretch, time.perf_counter() - start))
 
-        handler = zenoh.handlers.Callback(arrived, indirect=False)
-        self.session.get(predict_key(self.name), handler, payload=self.query, timeout=30.0)
+        ask(self.session, predict_key(self.name), self.query, arrived)
 
 
-def ask(endpoint: str, count: int, stretch: Any, stop: Any, results: Any) -> None:
+def stream(endpoint: str, count: int, stretch: Any, stop: Any, results: Any) -> None:
     """Step all sources in turn, evenly over the interval, until told to stop."""
     images, latencies = pictures(PICTURES), []
     with ExitStack() as stack:
@@ -219,22 +218,17 @@ def good() -> Iterator[tuple[str, bytes]]:
 
 def bad() -> Iterator[tuple[str, bytes]]:
     """Spoilt frames on the key that belongs to them."""
-    mutants = _mutants()
+    mutants = spoilt_frames(FLOODED, Random(0))
     for i in range(2**52):
         yield frame_key(FLOODED), mutants[i % len(mutants)]
 
 
 def strange() -> Iterator[tuple[str, bytes]]:
     """Spoilt frames, each under a name that never came before."""
-    mutants = _mutants()
+    mutants = spoilt_frames(FLOODED, Random(0))
     for i in range(2**52):
         name = f"benchmark/nobody/{i}"
         yield f"koop/frame/{shard_of(name)}/{name}", mutants[i % len(mutants)]
-
-
-def _mutants(count: int = 500) -> list[bytes]:
-    frame, random = Templates(FLOODED, pictures(1)).message(7), Random(0)
-    return [mutated(frame, random) for _ in range(count)]
 
 
 _MAKERS: dict[int, Callable[[], Iterator[tuple[str, bytes]]]] = {

@@ -6,20 +6,22 @@ import re
 import subprocess
 import sys
 import urllib.request
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import psutil
+import zenoh
 
-from koop_protocol import Frame, encode, frame_key
+from koop_protocol import ErrorReply, Frame, decode_as, encode, frame_key
 
 SIZE = 64
 PICTURES = 128
 EPOCH = "0123456789abcdef"
 RENDERER = "benchmark"
+ANSWER_TIMEOUT = 60.0  # s
 TREND_SAMPLES = 20
 """Fewest samples of which a trend is told."""
 
@@ -115,9 +117,9 @@ class Templates:
 
     PLACEHOLDER = 2**52 + 1
 
-    def __init__(self, trajectory: str, images: np.ndarray, epoch: str = EPOCH) -> None:
+    def __init__(self, trajectory: str, images: np.ndarray, renderer: str = RENDERER) -> None:
         packed = [
-            encode(Frame(trajectory, epoch, self.PLACEHOLDER, 0, image, RENDERER))
+            encode(Frame(trajectory, EPOCH, self.PLACEHOLDER, 0, image, renderer))
             for image in images
         ]
         mark = self.PLACEHOLDER.to_bytes(8, "big")
@@ -128,6 +130,22 @@ class Templates:
         """Frame `seq`."""
         head, tail = self._parts[seq % len(self._parts)]
         return head + seq.to_bytes(8, "big") + tail
+
+
+def ask(
+    session: zenoh.Session,
+    selector: str,
+    payload: bytes | None,
+    answered: Callable[[str], None],
+) -> None:
+    """Ask without waiting; `answered` gets the error's code, or "", from one of Zenoh's threads."""
+
+    def take(reply: zenoh.Reply) -> None:
+        err = reply.err
+        answered("" if err is None else decode_as(ErrorReply, err.payload.to_bytes()).code)
+
+    handler = zenoh.handlers.Callback(take, indirect=False)
+    session.get(selector, handler, payload=payload, timeout=ANSWER_TIMEOUT)
 
 
 def growth(resident: list[tuple[float, int]]) -> float:

@@ -163,6 +163,7 @@ class Intake(Generic[Q]):
         """Take nothing more in, and let everybody go who waits here."""
         with self._lock:
             self._closed = True
+            self._turns.hurry()
             self._work.notify_all()
             self._space.notify_all()
 

@@ -90,6 +90,7 @@ class Turns:
         self._active: OrderedDict[str, _Activity] = OrderedDict()  # least active first
         self._messages = 0
         self._size = 0
+        self._paced = True
 
     def __len__(self) -> int:
         """Measurements waiting."""
@@ -113,6 +114,10 @@ class Turns:
         self._messages, self._size = self._messages + 1, self._size + size
         self._active.setdefault(name, _Activity()).at = arrival.at
         self._active.move_to_end(name)
+
+    def hurry(self) -> None:
+        """From now on nobody keeps a pace: nothing more comes, and all is to be taken."""
+        self._paced = False
 
     def ready_at(self, now: float) -> float:
         """When `take` next gives something; infinity where nothing waits."""
@@ -185,10 +190,10 @@ class Turns:
         return arrival
 
     def _is_crowded(self, now: float) -> bool:
-        """Whether more than one share is active."""
+        """Whether more than one share is active, so that each keeps its pace."""
         while self._active and next(iter(self._active.values())).at < now - _ACTIVE:
             self._active.popitem(last=False)
-        return len(self._active) > 1
+        return self._paced and len(self._active) > 1
 
     def _turn_of(self, name: str) -> float:
         """When the share may have its next measurement."""

@@ -176,6 +176,15 @@ def test_a_short_cut_counts_against_the_pace() -> None:
     assert bench.take() == ["b", "b"]
 
 
+def test_at_the_end_nobody_keeps_a_pace() -> None:
+    bench = Bench()
+    bench.put("a")
+    for _ in range(40):
+        bench.put("b")
+    bench.turns.hurry()
+    assert Counter(bench.take()) == {"a": 1, "b": 40}
+
+
 def test_the_room_is_bounded_for_all_together() -> None:
     bench = Bench(messages=64)
     names = (str(i) for i in count())
