@@ -59,7 +59,7 @@ def spoilt_put(name: str, random: Random, renderer: str = RENDERER) -> tuple[str
 def spoilt_query(name: str, random: Random) -> tuple[str, bytes | None]:
     """A selector and a payload or none, about a trajectory that is there or one that is not."""
     asked = random.choice((name, name, name, "benchmark/nobody", "nobody"))
-    query = LqrQuery(random.choice((1, 5, 100)), target_code=CODE, force=True)
+    query = LqrQuery(random.choice((1, 5, 10)), target_code=CODE, force=True)
     orders = (PredictQuery(5), query, LqrTask("nobody", query), LqrCancel("nobody"))
     payload = mutated(encode(random.choice(orders)), random)
     selectors = (
