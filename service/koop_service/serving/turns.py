@@ -21,7 +21,7 @@ _STRANGERS = ""
 _PART = 8
 """A share has at most this part of the room, where that is more than the least."""
 _LEAST_MESSAGES, _LEAST_SIZE = 64, 1 << 20
-_PACE = 0.002
+_PACE = 0.005
 """While others are active, a share gets one measurement in this time [s] on the average, ..."""
 _BURST = 2
 """... and this many at once, such as a frame and its control: others wait for what is in work."""
