@@ -43,7 +43,7 @@ bench: $(TEST_STAMP) ## Print the benchmark tables
 pins: ## Write constraints.txt anew from the newest versions that pyproject.toml allows
 	rm -rf $(PINS)
 	$(PYTHON) -m venv $(PINS)
-	$(PINS)/bin/python -m pip install '.[service,sim,train,dev,fuzz]'
+	$(PINS)/bin/python -m pip install '.[service,sim,deploy,train,dev,fuzz]'
 	@# A local suffix (+cpu) names one machine's build, and CUDA's packages follow from torch's own pin.
 	( grep '^#' constraints.txt; \
 	  $(PINS)/bin/python -m pip freeze --all --exclude pip --exclude koop \
@@ -67,9 +67,9 @@ $(BIN)/python:
 	$(PYTHON) -m venv --clear $(VENV) || { rm -rf $(VENV); exit 1; }
 
 $(RUN_STAMP): pyproject.toml constraints.txt | $(BIN)/python
-	$(PIP) install -c constraints.txt -e '.[service,sim]'
+	$(PIP) install -c constraints.txt -e '.[service,sim,deploy]'
 	@touch $@
 
 $(TEST_STAMP): pyproject.toml constraints.txt | $(BIN)/python
-	$(PIP) install -c constraints.txt -e '.[service,sim,train,dev]'
+	$(PIP) install -c constraints.txt -e '.[service,sim,deploy,train,dev]'
 	@touch $(RUN_STAMP) $@

@@ -18,6 +18,7 @@ from pathlib import Path
 
 import numpy as np
 import zenoh
+from koop_serve import service
 
 from koop_clients.connection import open_session
 from koop_clients.control import Controller
@@ -27,7 +28,6 @@ from koop_clients.mechanics.systems import build_system
 from koop_clients.mechanics.trajectories import simulate
 from koop_clients.sources import FrameSource
 from koop_protocol import LqrQuery
-from serving import serving
 
 WARM = 100  # frames before the tasks begin
 METHODS = ("qp", "gain")
@@ -87,7 +87,7 @@ def drive(
 ) -> tuple[list[float], int]:
     """Frame put to command there [s], and how many frames got no command."""
     with (
-        serving(folder, metrics=False) as served,
+        service(folder, "--log-level", "error") as served,
         open_session(served.endpoint, wait=10.0) as session,
     ):
         return _drive(session, method, options, runs)

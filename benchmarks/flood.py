@@ -27,11 +27,12 @@ from typing import Any
 
 import numpy as np
 import zenoh
+from koop_serve import Service, service
+from load import PICTURES, Templates, arguments, ask, pictures, write_weights
+from nonsense import spoilt_frames
 
 from koop_clients.connection import flush, open_session
 from koop_protocol import PredictQuery, encode, frame_key, predict_key, shard_of
-from nonsense import spoilt_frames
-from serving import PICTURES, Service, Templates, ask, pictures, serving, write_weights
 
 INTERVAL = 0.05  # s between two frames of a source
 HORIZON = 20
@@ -47,7 +48,7 @@ def main() -> None:
     options = parse_options()
     with tempfile.TemporaryDirectory() as folder:
         weights = write_weights(Path(folder))
-        with serving(Path(folder), "--models", f"benchmark/*={weights}") as served:
+        with service(Path(folder) / "state", *arguments(weights)) as served:
             figures = measure(options, served)
     print_table(figures, options)
     if options.json:

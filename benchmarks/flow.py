@@ -16,18 +16,16 @@ os.environ["OPENBLAS_NUM_THREADS"] = "1"
 os.environ["MKL_NUM_THREADS"] = "1"
 
 import argparse
-import contextlib
 import json
-import tempfile
 import time
 from collections.abc import Callable
 from typing import Any
 
 import numpy as np
+import pylbm_flow
 
 from koop_clients.flow.cylinder import CylinderFlow
 from koop_clients.flow.settings import FlowSettings
-from koop_clients.flow.walls import VELOCITIES
 
 SETTINGS = FlowSettings()
 CELLS = SETTINGS.shape[0] * SETTINGS.shape[1]
@@ -61,64 +59,11 @@ def picture() -> Case:
 
 def peer_pylbm() -> Case | str:
     """pylbm on the same cells, or why not."""
-    try:
-        import pylbm
-    except (ImportError, RuntimeError) as error:  # RuntimeError: mpi4py finds no MPI library
-        return f"pylbm does not load here ({str(error).splitlines()[0]}): pip install pylbm"
-    # It builds its C code in the current folder, and setuptools stumbles over a repository there.
-    with tempfile.TemporaryDirectory() as folder, contextlib.chdir(folder):
-        simulation = pylbm.Simulation(_pylbm_flow(pylbm))
-
-    def step() -> None:
-        simulation.one_time_step()
-
-    return step, CELLS
-
-
-def _pylbm_flow(pylbm: Any) -> dict[str, Any]:
-    """Lengths in D; the scheme of d'Humieres with our two relaxation rates."""
-    import sympy
-
-    x, y, rho, qx, qy = sympy.symbols("X,Y,rho,qx,qy")
-    even, odd = CylinderFlow(SETTINGS).lattice.relaxation
-    s, u = SETTINGS, SETTINGS.speed
-    r2 = x**2 + y**2
-    polynomials = [1, x, y, 3 * r2 - 4, (9 * r2**2 - 21 * r2 + 8) / 2, 3 * x * r2 - 5 * x,
-                   3 * y * r2 - 5 * y, x**2 - y**2, x * y]  # fmt: skip
-    q2 = qx**2 + qy**2
-    equilibrium = [rho, qx, qy, 3 * q2 - 2 * rho, rho - 3 * q2, -qx, -qy, qx**2 - qy**2, qx * qy]
-
-    def inflow(_f: Any, m: Any, _x: Any, _y: Any) -> None:
-        m[qx], m[qy] = u, 0.0
-
-    bounce, outlet = pylbm.bc.BouzidiBounceBack, pylbm.bc.NeumannX
-    return {
-        "box": {
-            "x": [-s.upstream, s.downstream],
-            "y": [-s.half_height, s.half_height],
-            "label": [0, 1, 0, 0],
-        },
-        "elements": [pylbm.Circle([0, 0], 0.5, label=2)],
-        "space_step": 1 / s.diameter,
-        "scheme_velocity": 1,
-        "schemes": [
-            {
-                # pylbm numbers D2Q9's velocities as we do.
-                "velocities": list(range(len(VELOCITIES))),
-                "polynomials": polynomials,
-                "conserved_moments": [rho, qx, qy],
-                "relaxation_parameters": [0, 0, 0, even, even, odd, odd, even, even],
-                "equilibrium": equilibrium,
-            }
-        ],
-        "init": {rho: 1.0, qx: u, qy: 0.0},
-        "boundary_conditions": {
-            0: {"method": {0: bounce}, "value": inflow},
-            1: {"method": {0: outlet}},
-            2: {"method": {0: bounce}},
-        },
-        "generator": "cython",
-    }
+    pylbm = pylbm_flow.load()
+    if isinstance(pylbm, str):
+        return pylbm
+    simulation = pylbm_flow.compiled(pylbm, pylbm_flow.stock(pylbm, SETTINGS))
+    return simulation.one_time_step, CELLS
 
 
 def measure(cases: dict[str, Case], seconds: float) -> dict[str, float]:

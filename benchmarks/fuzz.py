@@ -25,7 +25,6 @@ from typing import Any
 
 import numpy as np
 import psutil
-
 from fuzzing.catalogue import CORPUS, FILES, WIRE, corpus, first_of, seeds_of
 
 NAMES = (*WIRE, *FILES)

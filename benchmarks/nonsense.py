@@ -6,8 +6,9 @@ from functools import cache
 from random import Random
 
 import numpy as np
-
 from fuzzing.mutation import mutated
+from load import EPOCH, RENDERER, Templates, pictures
+
 from koop_protocol import (
     Control,
     LqrCancel,
@@ -22,7 +23,6 @@ from koop_protocol import (
     shard_of,
     state_key,
 )
-from serving import EPOCH, RENDERER, Templates, pictures
 
 CODE = np.zeros(8)
 

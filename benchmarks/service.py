@@ -6,6 +6,7 @@ watches. The bare encoder is measured in the same run, before and after, with th
 
     python benchmarks/service.py                  # half a minute of load
     python benchmarks/service.py --minutes 10     # and does the memory stay flat?
+    python benchmarks/service.py --flood 2        # and do two greedy clients slow the sources down?
 """
 
 from __future__ import annotations
@@ -21,10 +22,11 @@ from pathlib import Path
 
 import numpy as np
 import zenoh
+from koop_serve import Service, service
+from load import PICTURES, Templates, growth, pictures, write_weights
 
 from koop_clients.connection import open_session
 from koop_protocol import PredictQuery, decode, encode, predict_key, state_key
-from serving import PICTURES, Service, Templates, growth, pictures, serving, write_weights
 
 HORIZON = 20
 QUERY_INTERVAL = 0.02  # s
@@ -52,6 +54,9 @@ def parse_options() -> argparse.Namespace:
     parser.add_argument("--minutes", type=float, default=0.5, help="time under load")
     parser.add_argument("--threads", type=int, default=1, help="threads of the encoder")
     parser.add_argument("--batch", type=int, default=None, help="koop-serve's --batch")
+    parser.add_argument(
+        "--flood", type=int, default=0, help="clients that ask for costly predictions without pause"
+    )
     parser.add_argument("--json", action="store_true", help="one JSON object on the last line")
     return parser.parse_args()
 
@@ -126,6 +131,16 @@ def ask(endpoint: str, trajectories: list[str], stop: Event, results) -> None:
     results.put((latencies, refusals))
 
 
+def flood(endpoint: str, trajectories: list[str], stop: Event) -> None:
+    """Ask for pictures and deviations, several at once and without pause."""
+    query = encode(PredictQuery(100, returns=frozenset({"codes", "frames", "std"})))
+    with open_session(endpoint) as session:
+        while not stop.is_set():
+            keys = [predict_key(name) for name in trajectories[:16]]
+            for answers in [session.get(key, payload=query, timeout=30.0) for key in keys]:
+                list(answers)
+
+
 @dataclass
 class Load:
     """One stretch of full load."""
@@ -141,21 +156,19 @@ class Load:
 def under_load(options: argparse.Namespace, folder: Path, weights: Path) -> dict[str, float]:
     """One trajectory first: what does not grow with their number is in place then."""
     names = [f"benchmark/{i}" for i in range(options.trajectories)]
-    with serving(folder, *service_options(options, weights)) as served:
+    arguments = ["--models", f"benchmark/*={weights}", "--threads", str(options.threads)]
+    arguments += ["--batch", str(options.batch)] if options.batch else []
+    with service(folder / "state", *arguments) as served:
         alone = run(served, names[:1], 0, WARM_SECONDS)
         several = run(served, names, alone.sent, WARM_SECONDS)
         first = alone.sent + several.sent // len(names)
-        load = run(served, names, first, 60.0 * options.minutes)
-        held = served.metric("koop_held_total")
-    return figures_of(options, load, alone.resident[-1][1]) | {"held_back": held}
+        load = run(served, names, first, 60.0 * options.minutes, options.flood)
+        held, shed = served.metric("koop_held_total"), served.metric("koop_shed_total")
+    figures = figures_of(options, load, alone.resident[-1][1])
+    return figures | {"held_back": held, "shed": shed}
 
 
-def service_options(options: argparse.Namespace, weights: Path) -> list[object]:
-    batch = ("--batch", options.batch) if options.batch else ()
-    return ["--models", f"benchmark/*={weights}", "--threads", options.threads, *batch]
-
-
-def run(served: Service, names: list[str], first: int, seconds: float) -> Load:
+def run(served: Service, names: list[str], first: int, seconds: float, floods: int = 0) -> Load:
     """Stream and ask for a while, then wait until everything sent is folded."""
     context = multiprocessing.get_context("spawn")
     stop, sent, results = context.Event(), context.Value("q", 0), context.Queue()
@@ -163,6 +176,9 @@ def run(served: Service, names: list[str], first: int, seconds: float) -> Load:
     processes = [
         context.Process(target=publish, args=(served.endpoint, names, first, stop, sent)),
         context.Process(target=ask, args=(served.endpoint, names, stop, results)),
+    ]
+    processes += [
+        context.Process(target=flood, args=(served.endpoint, names, stop)) for _ in range(floods)
     ]
     for process in processes:
         process.start()
@@ -218,6 +234,7 @@ def print_table(figures: dict[str, float]) -> None:
         ("lost", f"{figures['lost']:.0f} of {figures['sent']:.0f}", "0"),
         ("predict p50 [ms]", f"{figures['predict_p50_ms']:.1f}", ""),
         ("predict p99 [ms]", f"{figures['predict_p99_ms']:.1f}", "under 50"),
+        ("costly queries shed", f"{figures['shed']:.0f}", ""),
         ("predict slowest [ms]", f"{figures['predict_max_ms']:.1f}", ""),
         ("memory a trajectory [KB]", f"{figures['kb_per_trajectory']:.0f}", "under 100"),
         ("memory growth [KB/min]", f"{figures['growth_kb_per_min']:.0f}", "flat"),

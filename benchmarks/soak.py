@@ -19,12 +19,14 @@ import time
 from pathlib import Path
 from typing import Any
 
-from koop_clients.connection import open_session
-from koop_clients.queries import KoopClient
-from serving import Service, serving, write_weights
+from koop_serve import Service, service
+from load import arguments, write_weights
 from soaking import roles
 from soaking.figure import draw
 from soaking.verdict import Sample, Verdict, judge
+
+from koop_clients.connection import open_session
+from koop_clients.queries import KoopClient
 
 SAMPLES = 600
 """Most samples of a run."""
@@ -60,7 +62,7 @@ def soak(
 ) -> tuple[Verdict, list[Sample], list[tuple[float, float]]]:
     """Run all roles against one service; what they and it saw."""
     weights = write_weights(folder)
-    with serving(folder, "--models", f"benchmark/*={weights}") as served:
+    with service(folder / "state", *arguments(weights)) as served:
         found, samples = run(options, served)
         states = states_of(served, options.sources)
     code = served.process.returncode

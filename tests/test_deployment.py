@@ -161,6 +161,12 @@ def test_commands_use_flags_that_exist(name: str) -> None:
     assert flags <= accepted_flags(script)
 
 
+def test_the_service_is_healthy_where_koop_health_says_so() -> None:
+    word, script, *options = SERVICES["serve"]["healthcheck"]["test"]
+    assert word == "CMD"
+    assert {option for option in options if option.startswith("--")} <= accepted_flags(script)
+
+
 @pytest.mark.parametrize("stage", ["service", "client"])
 def test_images_run_without_root(stage: str) -> None:
     assert re.findall(r"^USER (\S+)$", STAGES[stage], re.M) == ["koop"]

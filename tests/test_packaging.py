@@ -90,7 +90,7 @@ LIGHT_SOURCE = """
 import sys
 
 HEAVY = {"torch", "pinocchio", "numba", "proxsuite", "safetensors", "lmdb", "prometheus_client",
-         "tyro", "matplotlib", "h5py"}
+         "tyro", "matplotlib", "h5py", "cryptography"}
 
 class Refuse:
     def find_spec(self, name, path=None, target=None):

@@ -20,8 +20,8 @@ import h5py
 import msgpack
 import numpy as np
 import torch
-
 from fuzzing.guard import Target
+
 from koop_protocol import Control, Frame, PredictQuery, ProtocolError
 from koop_protocol import recording as names
 from koop_service.encoding.autoencoder import initialised
@@ -31,10 +31,11 @@ from koop_service.encoding.weights import ModelCard, load_card, load_weights, sa
 from koop_service.estimation.estimator import Bank
 from koop_service.estimation.stream import Stream
 from koop_service.learning.recording import load_manifest, load_recording
-from koop_service.serving import queries, snapshots
+from koop_service.serving import queries
 from koop_service.serving.config import EstimatorChoices
+from koop_service.serving.durability import sealing
+from koop_service.serving.equipment import settings_for
 from koop_service.serving.records import check_record, restored, snapshot_of
-from koop_service.serving.registry import settings_for
 from koop_service.serving.toml import load_config
 from koop_service.serving.trajectories import Trajectory
 
@@ -68,7 +69,7 @@ def record(data: bytes) -> bool:
     setting = _setting()
     lanes = len(setting.bank)
     try:
-        value = snapshots._unpack(data)
+        value = sealing.unseal(_sealed(data))
         check_record(value, setting.entry, setting.bank.settings)
         trajectory = restored(NAME, value, setting.entry, setting.codec, setting.bank)
     except Exception:  # the service leaves the record out, whatever is wrong with it
@@ -81,6 +82,15 @@ def record(data: bytes) -> bool:
     return True
 
 
+def _sealed(body: bytes) -> bytes:
+    """With the digest that belongs to it: what is behind the digest is looked at here."""
+    return sealing._digest(body) + body
+
+
+def _opened(sealed: bytes) -> bytes:
+    return sealed[len(_sealed(b"")) :]
+
+
 def _use(trajectory: Trajectory) -> None:
     """What the pipeline does with any trajectory; nothing of it may fail."""
     seq = trajectory.stream.next_seq
@@ -90,7 +100,7 @@ def _use(trajectory: Trajectory) -> None:
     for answer in (queries.state, lambda t: queries.predict(t, PredictQuery(3))):
         with suppress(ProtocolError):  # it may warm up, and it may be unstable
             answer(trajectory)
-    snapshots._pack(snapshot_of(trajectory))
+    sealing.seal(snapshot_of(trajectory))
 
 
 def _fold(trajectory: Trajectory, message: Frame | Control) -> None:
@@ -119,7 +129,7 @@ def records() -> list[bytes]:
         _fold(trajectory, _frame(seq))
         _fold(trajectory, _control(seq))
         if seq in (0, 3, 19, 23):
-            found.append(snapshots._pack(snapshot_of(trajectory)))
+            found.append(_opened(sealing.seal(snapshot_of(trajectory))))
     setting.bank.close(trajectory.lane)
     return found
 

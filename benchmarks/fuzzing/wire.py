@@ -16,8 +16,8 @@ from typing import Any
 import msgpack
 import numpy as np
 import zenoh
-
 from fuzzing.guard import Target
+
 from koop_protocol import (
     ErrorCode,
     ErrorReply,

@@ -7,9 +7,9 @@ from pathlib import Path
 import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
+from soaking.verdict import Sample
 
 from koop_service.evaluation.theme import DPI, QUIET, SERIES, styled
-from soaking.verdict import Sample
 
 mpl.use("Agg")
 from matplotlib import pyplot as plt

@@ -16,14 +16,14 @@ from random import Random
 
 import numpy as np
 import zenoh
+from load import ANSWER_TIMEOUT, PICTURES, RENDERER, ask, pictures
+from nonsense import spoilt_put, spoilt_query
 
 from koop_clients.connection import flush, open_session
 from koop_clients.control import Controller
 from koop_clients.queries import KoopError
 from koop_clients.sources import FrameSource
 from koop_protocol import COMMANDS, LqrEnd, LqrQuery, PredictQuery, decode, encode, predict_key
-from nonsense import spoilt_put, spoilt_query
-from serving import ANSWER_TIMEOUT, PICTURES, RENDERER, ask, pictures
 
 INTERVAL = 0.05  # s between two frames
 HORIZON = 20

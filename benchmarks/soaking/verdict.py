@@ -6,9 +6,9 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
+from load import growth
 
 from koop_protocol import StateReply
-from serving import growth
 
 #: Of the stream's counters, what a source that sends everything in order never causes.
 TROUBLE = ("gaps", "missing_frames", "missing_controls", "duplicates", "late", "stale_epoch")

@@ -16,8 +16,11 @@ import zenoh
 from numpy.typing import ArrayLike
 
 from koop_protocol import (
+    HEALTH,
     PREDICTIONS,
     ErrorReply,
+    Health,
+    Limits,
     LqrCancel,
     LqrEnd,
     LqrQuery,
@@ -39,7 +42,11 @@ NO_REPLY = "no_reply"
 
 DEFAULT_TIMEOUT = 2.0  # s
 
-R = TypeVar("R", PredictReply, LqrReply, LqrEnd, StateReply)
+# Pictures asked for, or given as targets, may be large; how large, the service says. It gets no
+# more than this from Zenoh.
+_LIMITS = Limits(max_message_bytes=64 << 20)
+
+R = TypeVar("R", PredictReply, LqrReply, LqrEnd, StateReply, Health)
 
 
 class KoopError(Exception):
@@ -122,7 +129,7 @@ class KoopClient:
 
     def lqr(self, trajectory: str, query: LqrQuery, *, timeout: float | None = None) -> LqrReply:
         """Controls that bring the trajectory to the query's target."""
-        return self._ask(LqrReply, lqr_key(trajectory), encode(query), timeout)
+        return self._ask(LqrReply, lqr_key(trajectory), encode(query, _LIMITS), timeout)
 
     def begin(self, trajectory: str, task: LqrTask, *, timeout: float | None = None) -> LqrReply:
         """Register a task, or replace its owner's former one; the first plan.
@@ -130,7 +137,7 @@ class KoopClient:
         The owner's liveliness token must be declared: :class:`koop_clients.control.Controller`
         does so. No task has begun where the reply says that the model is not fit.
         """
-        return self._ask(LqrReply, lqr_key(trajectory), encode(task), timeout)
+        return self._ask(LqrReply, lqr_key(trajectory), encode(task, _LIMITS), timeout)
 
     def cancel(self, trajectory: str, owner: str, *, timeout: float | None = None) -> LqrEnd:
         """End the owner's task."""
@@ -139,6 +146,17 @@ class KoopClient:
     def state(self, trajectory: str, *, timeout: float | None = None) -> StateReply:
         """How the trajectory's estimator stands."""
         return self._ask(StateReply, state_key(trajectory), None, timeout)
+
+    def health(self, *, timeout: float | None = None) -> list[Health]:
+        """What each worker says of itself; one that is stuck says nothing, and takes the timeout.
+
+        Raises KoopError (no_reply) where none answered.
+        """
+        answers = self._answers(Health, HEALTH, None, timeout)
+        found = [answer for answer in answers if isinstance(answer, Health)]
+        if not found:
+            raise _no_reply(HEALTH, self._seconds(timeout))
+        return found
 
     def _ask(self, kind: type[R], key: str, payload: bytes | None, timeout: float | None) -> R:
         """The first answer; a refusal only counts once every worker has spoken."""
@@ -180,7 +198,7 @@ def _read(kind: type[R], reply: zenoh.Reply) -> R | KoopError | None:
     if reply.ok is None:
         return _refusal(bytes(reply.err.payload) if reply.err else b"")
     try:
-        return decode_as(kind, bytes(reply.ok.payload))
+        return decode_as(kind, bytes(reply.ok.payload), _LIMITS)
     except ProtocolError as error:
         return KoopError(
             error.code,
@@ -201,5 +219,6 @@ def _no_reply(key: str, seconds: float) -> KoopError:
     return KoopError(
         NO_REPLY,
         f"nobody answered on {key} (waiting up to {seconds:g} s); check that `koop-serve` runs, "
-        "and that this session is connected to it",
+        "that this session is connected to it and, where the hub has access rules, that they let "
+        "this certificate ask",
     )

@@ -6,6 +6,7 @@ Needs numpy, msgpack and eclipse-zenoh, nothing else.
 from __future__ import annotations
 
 import secrets
+from dataclasses import replace
 from types import TracebackType
 
 import numpy as np
@@ -13,7 +14,9 @@ import zenoh
 from numpy.typing import ArrayLike
 
 from koop_clients.connection import flush
-from koop_protocol import Control, Frame, control_key, encode, frame_key
+from koop_clients.replay.file import Tail
+from koop_clients.replay.log import SourceLog
+from koop_protocol import Control, Frame, control_key, decode_as, encode, frame_key
 
 
 class FrameSource:
@@ -25,6 +28,11 @@ class FrameSource:
 
     Putting blocks while the service is slower than the camera; nothing is dropped on the way. It
     does *not* tell whether anybody listens: ask with :class:`koop_clients.queries.KoopClient`.
+    With a log, what nobody heard is not lost: the service asks for it later.
+
+    Attributes:
+        trajectory: its name.
+        epoch: of this run.
 
     Example::
 
@@ -48,19 +56,27 @@ class FrameSource:
         trajectory: str,
         control_size: int = 0,
         renderer: str = "",
+        log: SourceLog | None = None,
+        resume: bool = False,
     ) -> None:
-        """Declare the two publishers.
+        """Declare the two publishers, and serve the log.
 
         Args:
             session: an open Zenoh session, see :func:`koop_clients.connection.open_session`.
             trajectory: its name, chunks of letters, digits, "_", "." or "-" separated by "/".
             control_size: components p of a control; 0 where nothing is actuated.
             renderer: name of the simulator's renderer; "" is a real camera.
+            log: keeps everything that is put until the service has it on disk.
+            resume: go on in the epoch of the log's newest frame, with the next number; only for a
+                system that has not moved since, such as a simulation or a file. Where the log has
+                no frame of this trajectory, a new epoch begins.
 
         Raises:
             ProtocolError: the name is not valid.
+            ValueError: `resume` without a log, or with another control size or renderer.
         """
         self._session = session
+        self._log = log
         self.trajectory = trajectory
         self.epoch = secrets.token_hex(8)
         self.control_size = control_size
@@ -68,11 +84,25 @@ class FrameSource:
         self._next_seq = 0
         self._last_control = -1
         self._format: tuple[tuple[int, ...], np.dtype] | None = None
+        if resume:
+            self._resume()
         block = zenoh.CongestionControl.BLOCK
         self._frames = session.declare_publisher(frame_key(trajectory), congestion_control=block)
         self._controls = session.declare_publisher(
             control_key(trajectory), congestion_control=block
         )
+        if log is not None:
+            log.attach(session, trajectory)
+
+    @property
+    def next_seq(self) -> int:
+        """Number of the next frame; 0 unless an epoch goes on."""
+        return self._next_seq
+
+    @property
+    def awaits_control(self) -> bool:
+        """Whether the last frame's control was not put yet."""
+        return self.control_size > 0 and self._last_control < self._next_seq - 1
 
     def put_frame(self, image: np.ndarray) -> int:
         """Put the next frame, (H, W) or (C, H, W) in uint8, float16 or float32; its number.
@@ -88,9 +118,18 @@ class FrameSource:
                 "first one; start a new FrameSource for another camera"
             )
         seq = self._next_seq
-        frame = Frame(self.trajectory, self.epoch, seq, self.control_size, image, self.renderer)
-        self._frames.put(encode(frame))
+        frame = Frame(
+            self.trajectory,
+            self.epoch,
+            seq,
+            self.control_size,
+            image,
+            self.renderer,
+            self._log is not None,
+        )
+        data = self._logged(frame)
         self._format, self._next_seq = found, seq + 1
+        self._frames.put(data)
         return seq
 
     def put_control(self, u: ArrayLike) -> None:
@@ -110,11 +149,39 @@ class FrameSource:
         if seq <= self._last_control:
             missing = "there is no frame yet" if seq < 0 else f"frame {seq} has its control already"
             raise ValueError(f"{missing}; put a frame, then the control that follows it")
-        self._controls.put(encode(Control(self.trajectory, self.epoch, seq, values)))
+        data = self._logged(Control(self.trajectory, self.epoch, seq, values))
         self._last_control = seq
+        self._controls.put(data)
+
+    def _logged(self, message: Frame | Control) -> bytes:
+        """The message's bytes, which the log has; a frame that it has not does not say so."""
+        data = encode(message)
+        if self._log is None or self._log.append(message, data):
+            return data
+        return encode(replace(message, logged=False)) if isinstance(message, Frame) else data
+
+    def _resume(self) -> None:
+        """Take up the epoch of the log's newest frame."""
+        if self._log is None:
+            raise ValueError("there is nothing to resume without a log; give log=SourceLog(path)")
+        tail = self._log.tail(self.trajectory)
+        if tail is not None:
+            self._continue(tail, decode_as(Frame, tail.data))
+
+    def _continue(self, tail: Tail, last: Frame) -> None:
+        found = (last.control_size, last.renderer)
+        if found != (self.control_size, self.renderer):
+            raise ValueError(
+                f"the log's last frame of {self.trajectory!r} has control_size {found[0]} and "
+                f"renderer {found[1]!r}; expected {self.control_size} and {self.renderer!r}; "
+                "start a new epoch with resume=False"
+            )
+        self.epoch, self._next_seq = tail.epoch, tail.seq + 1
+        self._last_control = tail.seq if tail.controlled else tail.seq - 1
+        self._format = (last.image.shape, last.image.dtype)
 
     def close(self) -> None:
-        """Wait until everything put has left, and undeclare the publishers.
+        """Wait until everything put has left, and undeclare the publishers. A log goes on serving.
 
         Closing the session without it drops what is still on its way.
         """

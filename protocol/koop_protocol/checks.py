@@ -153,6 +153,19 @@ def integers(field: str, value: object, low: int, high: int) -> tuple[int, ...]:
     return tuple(integer(field, entry, low, high) for entry in _entries(field, value))
 
 
+def binaries(field: str, value: object) -> tuple[bytes, ...]:
+    """Byte strings, none of them empty."""
+    entries = _entries(field, value)
+    for entry in entries:
+        if not isinstance(entry, bytes):
+            raise fault(
+                ErrorCode.wrong_type, field, f"holds {shown(entry)}", "msgpack's bin type only"
+            )
+        if not entry:
+            raise fault(ErrorCode.malformed, field, "holds no bytes at all", "encoded messages")
+    return cast("tuple[bytes, ...]", entries)
+
+
 def _entries(field: str, value: object) -> tuple[object, ...]:
     if isinstance(value, np.ndarray):
         array = cast(NDArray[np.generic], value)

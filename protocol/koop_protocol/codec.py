@@ -2,8 +2,9 @@
 
 A message is a msgpack map ``{"v": 1, "type": "frame", ...}`` whose other keys are the fields of
 its dataclass; a field that is None is left out. A query inside a message is a map of its
-fields alone. Unknown keys are ignored, so that a later release of the same version can add optional
-ones.
+fields alone. A field that a later release added is left out where it has its default, so that the
+bytes of messages without it stay what they were. Unknown keys are ignored, so that a later release
+of the same version can add optional ones.
 """
 
 from __future__ import annotations
@@ -21,8 +22,10 @@ from koop_protocol.messages import (
     VERSION,
     Command,
     Control,
+    Durable,
     ErrorReply,
     Frame,
+    Health,
     LqrCancel,
     LqrEnd,
     LqrQuery,
@@ -31,7 +34,10 @@ from koop_protocol.messages import (
     Message,
     PredictQuery,
     PredictReply,
+    ReplayQuery,
+    ReplayReply,
     StateReply,
+    TrajectoryEnd,
 )
 from koop_protocol.packing import Buffer, check_packed_size, pack_map, unpack_map
 
@@ -48,6 +54,11 @@ M = TypeVar(
     Command,
     LqrEnd,
     StateReply,
+    ReplayQuery,
+    ReplayReply,
+    Durable,
+    Health,
+    TrajectoryEnd,
     ErrorReply,
 )
 
@@ -63,11 +74,18 @@ class _Layout:
     arrays: frozenset[str]
     sets: frozenset[str]
     queries: frozenset[str]
+    omitted: dict[str, object]
 
 
 def _layout(
-    name: str, type_: type[Message], arrays: str = "", sets: str = "", queries: str = ""
+    name: str,
+    type_: type[Message],
+    arrays: str = "",
+    sets: str = "",
+    queries: str = "",
+    added: str = "",
 ) -> _Layout:
+    """`added`: fields of a later release; their defaults are not sent."""
     parts = fields(type_)
     required = (
         part.name for part in parts if part.default is MISSING and part.default_factory is MISSING
@@ -80,11 +98,12 @@ def _layout(
         frozenset(arrays.split()),
         frozenset(sets.split()),
         frozenset(queries.split()),
+        {part.name: part.default for part in parts if part.name in added.split()},
     )
 
 
 _LAYOUTS = (
-    _layout("frame", Frame, "image"),
+    _layout("frame", Frame, "image", added="logged"),
     _layout("control", Control, "u"),
     _layout("predict_query", PredictQuery, "controls", "returns"),
     _layout("predict_reply", PredictReply, "codes frames std"),
@@ -100,6 +119,11 @@ _LAYOUTS = (
     _layout("command", Command, "controls"),
     _layout("lqr_end", LqrEnd),
     _layout("state", StateReply),
+    _layout("replay_query", ReplayQuery),
+    _layout("replay_reply", ReplayReply),
+    _layout("durable", Durable),
+    _layout("health", Health),
+    _layout("trajectory_end", TrajectoryEnd),
     _layout("error", ErrorReply),
 )
 _BY_NAME = {layout.name: layout for layout in _LAYOUTS}
@@ -183,8 +207,13 @@ def _build(layout: _Layout, entries: dict[str, object], limits: Limits) -> Messa
 
 
 def _fields_of(message: Message) -> dict[str, Any]:
-    values = {name: getattr(message, name) for name in _BY_TYPE[type(message)].names}
-    return {name: _to_wire(name, value) for name, value in values.items() if value is not None}
+    layout = _BY_TYPE[type(message)]
+    values = {name: getattr(message, name) for name in layout.names}
+    return {
+        name: _to_wire(name, value)
+        for name, value in values.items()
+        if value is not None and value is not layout.omitted.get(name)
+    }
 
 
 def _to_wire(name: str, value: object) -> object:

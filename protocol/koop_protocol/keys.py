@@ -24,8 +24,13 @@ PREDICTIONS = "koop/predict/**"
 LQRS = "koop/lqr/**"
 COMMANDS = "koop/command/**"
 STATES = "koop/state/**"
+DURABLES = "koop/durable/**"
+HEALTH = "koop/health"
+"""Key on which every worker says that it lives."""
 CLIENT_TOKENS = "koop/@client/*"
 """Liveliness tokens of the clients that own tasks."""
+SOURCE_TOKENS = "koop/@source/**"
+"""Liveliness tokens of the trajectories whose source keeps a log."""
 
 MAX_OWNER_LENGTH = 64
 """Longest name of an owner."""
@@ -46,10 +51,13 @@ class KeyKind(StrEnum):
     lqr = "lqr"
     command = "command"
     state = "state"
+    durable = "durable"
+    health = "health"
 
 
-_SHARDED = frozenset({KeyKind.frame, KeyKind.control, KeyKind.replay})
-_KINDS = {kind.value: kind for kind in KeyKind}
+_SHARDED = frozenset({KeyKind.frame, KeyKind.control, KeyKind.replay, KeyKind.durable})
+_KINDS = {kind.value: kind for kind in KeyKind if kind is not KeyKind.health}
+"""Those whose keys name a trajectory."""
 
 
 class KoopKey(NamedTuple):
@@ -105,8 +113,13 @@ def control_key(name: str) -> str:
 
 
 def replay_key(name: str) -> str:
-    """Key on which a source answers for past frames and controls (reserved)."""
+    """Key on which a source answers for past frames and controls, out of its log."""
     return f"koop/replay/{shard_of(name)}/{name}"
+
+
+def durable_key(name: str) -> str:
+    """Key on which the service tells a source what its log need not keep any longer."""
+    return f"koop/durable/{shard_of(name)}/{name}"
 
 
 def predict_key(name: str) -> str:
@@ -161,6 +174,23 @@ def owner_of(token: str) -> str:
     return check_owner(owner)
 
 
+def source_token(name: str) -> str:
+    """Key of the liveliness token that stands for a trajectory as long as its log can be asked."""
+    return f"koop/@source/{shard_of(name)}/{name}"
+
+
+def trajectory_of(token: str) -> str:
+    """The trajectory whose source's token has this key; ProtocolError (bad_key) if it is none."""
+    prefix = SOURCE_TOKENS.removesuffix("**")
+    if not token.startswith(prefix):
+        raise ProtocolError(
+            ErrorCode.bad_key, f"{token[:MAX_NAME_LENGTH]!r} is no source's token", SOURCE_TOKENS
+        )
+    shard, _, name = token.removeprefix(prefix).partition("/")
+    _check_shard(shard, check_trajectory(name))
+    return name
+
+
 def parse_key(key: str) -> KoopKey:
     """Take a key without wildcards apart; raise ProtocolError (bad_key) where it is not koop's."""
     root, _, rest = key.partition("/")
@@ -169,7 +199,7 @@ def parse_key(key: str) -> KoopKey:
     if root != "koop" or kind is None:
         raise ProtocolError(
             ErrorCode.bad_key,
-            f"{key[:MAX_NAME_LENGTH]!r} is not a key of koop",
+            f"{key[:MAX_NAME_LENGTH]!r} is not a key of a trajectory",
             f"koop/<kind>/... with a kind of {', '.join(_KINDS)}",
             "build keys with the functions of koop_protocol.keys",
         )

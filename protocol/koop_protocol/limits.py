@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 
 MAX_NAME_LENGTH = 200
 """Longest trajectory name any peer accepts [bytes]; Limits can only tighten it."""
@@ -15,6 +15,9 @@ MAX_TEXT_BYTES = 4096
 
 MAX_ENTRIES = 64
 """Most entries of a map (counters, details) or of a msgpack array."""
+
+REPLAY_ROOM = 65_536
+"""By how much a replay_reply may be longer than a message alone [bytes]."""
 
 
 @dataclass(frozen=True)
@@ -36,6 +39,10 @@ class Limits:
     max_control_size: int = 64
     max_horizon: int = 1000
     max_name_length: int = MAX_NAME_LENGTH
+
+    def for_replays(self) -> Limits:
+        """The limits of a replay_reply: whatever may be sent alone fits into one."""
+        return replace(self, max_message_bytes=self.max_message_bytes + REPLAY_ROOM)
 
     def __post_init__(self) -> None:
         for field in fields(self):

@@ -20,6 +20,8 @@ class Frame:
         control_size: size p of the controls in this stream; 0 where the system is not actuated.
         image: (H, W) or (C, H, W), uint8 in 0..255 or float16 or float32.
         renderer: name of what drew the image; "" is a real camera.
+        logged: whether the source's log had the frame before it was put, so that what is missed
+            can be had on ``koop/replay/**``.
     """
 
     trajectory: str
@@ -28,6 +30,7 @@ class Frame:
     control_size: int
     image: checks.Image
     renderer: str = ""
+    logged: bool = False
     limits: InitVar[Limits] = field(default=DEFAULT_LIMITS, kw_only=True)
 
     def __post_init__(self, limits: Limits) -> None:
@@ -37,6 +40,7 @@ class Frame:
         put(self, "control_size", size)
         checks.image("image", self.image, limits.max_image_values)
         checks.text("renderer", self.renderer, limits.max_name_length)
+        checks.flag("logged", self.logged)
 
 
 @dataclass(frozen=True, eq=False)

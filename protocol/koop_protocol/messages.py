@@ -6,6 +6,7 @@ that a sender meets the same error as its receiver would.
 
 from __future__ import annotations
 
+from koop_protocol.lifecycle import Ending, Health, TrajectoryEnd
 from koop_protocol.lqr import LqrQuery, LqrReply
 from koop_protocol.measurements import Control, Frame
 from koop_protocol.predictions import (
@@ -13,6 +14,7 @@ from koop_protocol.predictions import (
     PredictReply,
     predict_query_from_parameters,
 )
+from koop_protocol.replays import Durable, ReplayQuery, ReplayReply
 from koop_protocol.status import ErrorReply, StateReply
 from koop_protocol.tasks import Command, EndReason, LqrCancel, LqrEnd, LqrTask
 
@@ -30,6 +32,11 @@ Message = (
     | Command
     | LqrEnd
     | StateReply
+    | ReplayQuery
+    | ReplayReply
+    | Durable
+    | Health
+    | TrajectoryEnd
     | ErrorReply
 )
 
@@ -37,9 +44,12 @@ __all__ = [
     "VERSION",
     "Command",
     "Control",
+    "Durable",
     "EndReason",
+    "Ending",
     "ErrorReply",
     "Frame",
+    "Health",
     "LqrCancel",
     "LqrEnd",
     "LqrQuery",
@@ -48,6 +58,9 @@ __all__ = [
     "Message",
     "PredictQuery",
     "PredictReply",
+    "ReplayQuery",
+    "ReplayReply",
     "StateReply",
+    "TrajectoryEnd",
     "predict_query_from_parameters",
 ]

@@ -104,7 +104,8 @@ def _check_size(size: int, limits: Limits) -> None:
             ErrorCode.too_large,
             f"the message has {size} bytes",
             f"at most {limits.max_message_bytes}",
-            "ask for or send less at once, or raise max_message_bytes at both ends",
+            "ask for or send less at once, or let the receiver take more: koop-serve's "
+            "--max-message-bytes",
             {"limit": limits.max_message_bytes},
         )
 

@@ -41,3 +41,12 @@ SEED_ATTRIBUTE = "seed"
 
 PARAMETERS_DATASET = "parameters"
 """(N,) str: a JSON object a sequence: how it was driven, and its physical parameters."""
+
+CHANNELS_ATTRIBUTE = "channels"
+"""Names of a field's C channels (strings)."""
+
+CHANNEL_MEAN_ATTRIBUTE, CHANNEL_SCALE_ATTRIBUTE = "channel_mean", "channel_scale"
+"""(C,) float each: a frame holds (channel - mean) / scale."""
+
+WINDOW_ATTRIBUTE = "window"
+"""(4,) float: what a field's frames show, x from, to, y from, to, in lengths of the system."""

@@ -8,9 +8,9 @@ import os
 import signal
 import sys
 import threading
-from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, closing, contextmanager
+from dataclasses import dataclass, replace
 from functools import partial
 
 # The service's matrices are small, and threads for them would fight with the encoder's over the
@@ -20,27 +20,43 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import torch
 import zenoh
 
-from koop_protocol import Limits
+from koop_protocol import CATCHING_UP, NOT_DURABLE, Limits
 from koop_service.encoding.catalogue import Catalogue, ModelEntry, bundled_or_own
 from koop_service.serving import logs
 from koop_service.serving.config import ServiceConfig
 from koop_service.serving.desk import Desk
-from koop_service.serving.endpoint import Endpoint, put_command
+from koop_service.serving.durability.archive import Archive
+from koop_service.serving.durability.keeper import Keeper
+from koop_service.serving.durability.lmdb_store import LmdbStore
+from koop_service.serving.durability.log_reader import LogReader
+from koop_service.serving.durability.recovery import Recovery
+from koop_service.serving.durability.snapshotter import Snapshotter
+from koop_service.serving.durability.store import EVERY_SHARD
+from koop_service.serving.endings import Endings
+from koop_service.serving.endpoint import Endpoint, put_command, put_durable, put_notice
+from koop_service.serving.equipment import settings_for
+from koop_service.serving.eviction import Eviction
 from koop_service.serving.intake import Intake
 from koop_service.serving.measurements import Measurements
+from koop_service.serving.memory import Memory
 from koop_service.serving.metrics import Metrics
 from koop_service.serving.options import read_options
 from koop_service.serving.outbox import Outbox
+from koop_service.serving.pace import Pace
 from koop_service.serving.pipeline import Pipeline
 from koop_service.serving.process import limit_arenas
 from koop_service.serving.questions import Question
 from koop_service.serving.refusals import Refusals
-from koop_service.serving.registry import Registry, settings_for
+from koop_service.serving.registry import Registry
 from koop_service.serving.rehearsal import rehearse
+from koop_service.serving.replies import Replies
 from koop_service.serving.session import UnreachableError, locators, open_session
-from koop_service.serving.snapshots import SnapshotStore
+from koop_service.serving.shedding import Shedding
 from koop_service.serving.steering.commander import Commander
 from koop_service.serving.steering.tasks import Tasks
+from koop_service.serving.strain import MEMORY, QUEUE, Strain
+from koop_service.serving.vitals import Vitals, worker_name
+from koop_service.serving.watchdog import Watchdog, give_up
 
 log = logging.getLogger("koop.service")
 
@@ -106,30 +122,34 @@ def running(config: ServiceConfig, session: zenoh.Session) -> Iterator[Service]:
         config.limits.max_trajectories,
         config.compute.device,
     )
-    store = SnapshotStore(config.state_folder)
-    store.prepare()
-    restored = registry.restore(store.load())
-    _prepare(registry, catalogue, config.compute.batch)
-    with ExitStack() as stack:
-        pipeline = _start(config, session, registry, refusals, metrics, stack)
-        port = _serve_metrics(config, metrics, stack)
-        yield Service(locators(session), catalogue, metrics, port, restored)
-        stack.close()
-    if pipeline.finished:
-        store.save(registry.snapshot())
+    with closing(LmdbStore(config.state_folder)) as store:
+        claim = store.claim(f"koop-serve {worker_name()}", EVERY_SHARD)
+        restored = registry.restore(store.load(EVERY_SHARD, config.limits.max_trajectories))
+        _prepare(registry, catalogue, config.compute.batch)
+        keeper = Keeper(store, claim, partial(put_durable, session), metrics)
+        with ExitStack() as stack:
+            keeper.start()
+            stack.callback(keeper.stop)
+            archive = Archive(store.find)
+            with _started(config, session, registry, refusals, metrics, keeper, archive):
+                port = _serve_metrics(config, metrics, stack)
+                yield Service(locators(session), catalogue, metrics, port, restored)
 
 
-def _start(
+@contextmanager
+def _started(
     config: ServiceConfig,
     session: zenoh.Session,
     registry: Registry,
     refusals: Refusals,
     metrics: Metrics,
-    stack: ExitStack,
-) -> Pipeline:
-    """Wire intake, pipeline and outbox together; the stack takes them down in reverse order."""
+    keeper: Keeper,
+    archive: Archive,
+) -> Iterator[None]:
+    """Intake, pipeline, outbox and all that they need, wired together; then the last snapshots."""
     limits = config.limits
     wire = Limits(max_message_bytes=limits.max_message_bytes, max_horizon=limits.max_horizon)
+    replies = replace(wire, max_message_bytes=limits.max_reply_bytes)
     intake: Intake[Question] = Intake(
         limits.queue_messages,
         limits.queue_bytes,
@@ -137,36 +157,110 @@ def _start(
         metrics.held.inc,
         known=registry.__contains__,
     )
-    outbox = Outbox(lambda question: _finished(question, intake, metrics), metrics.unsent.inc)
+    outbox = Outbox(
+        lambda question: _finished(question, intake, metrics),
+        metrics.unsent.inc,
+        2 * limits.max_reply_bytes,
+    )
+    reader = LogReader(session, intake.tell, wire.for_replays().max_message_bytes)
+    recovery = Recovery(registry, reader.ask, metrics, wire, 2 * limits.max_trajectories)
+    every = config.durability.snapshot_every
+    snapshotter = Snapshotter(registry, keeper, archive, recovery.is_logged, every)
     tasks = Tasks()
     commander = Commander(tasks, registry, partial(put_command, session), metrics)
-    desk = Desk(intake, registry, commander, outbox, metrics, wire)
-    measurements = Measurements(registry, refusals, metrics, wire)
-    pipeline = Pipeline(
-        intake, measurements, desk, commander, config.compute.batch, metrics.lost.inc
+    queue, memory = Strain(QUEUE, metrics), Memory(limits.max_memory, Strain(MEMORY, metrics))
+    eviction = Eviction(
+        registry,
+        snapshotter,
+        metrics,
+        limits.evict_after,
+        lambda name: tasks.find(name) is not None,
+        lambda: memory.strain.active,
     )
-    _watch(metrics, intake, registry, tasks)
-    outbox.start()
-    stack.callback(outbox.stop, _LAST_ANSWERS)
-    pipeline.start()
-    stack.callback(pipeline.stop, _LAST_BATCH)
-    endpoint = Endpoint(intake, metrics, limits.max_message_bytes)
-    stack.enter_context(endpoint.declared(session))
-    return pipeline
+    registry.ended = Endings(partial(put_notice, session)).tell
+    vitals = Vitals(worker_name(), intake, registry, queue, memory)
+    vitals.watch(NOT_DURABLE, lambda: not keeper.is_durable)
+    vitals.watch(CATCHING_UP, lambda: recovery.behind > 0)
+    strains = (queue, memory.strain)
+    understood = Replies(commander, wire, replies)
+    shedding = Shedding(understood, strains)
+    desk = Desk(intake, registry, understood, recovery, outbox, metrics, vitals, shedding)
+    measurements = Measurements(registry, refusals, recovery, metrics, wire, snapshotter.note)
+    pipeline = Pipeline(
+        intake,
+        measurements,
+        desk,
+        commander,
+        vitals,
+        recovery,
+        snapshotter,
+        eviction,
+        config.compute.batch,
+        metrics.lost.inc,
+    )
+    _watch(metrics, intake, registry, tasks, strains)
+    _watch_durability(metrics, recovery, snapshotter, keeper)
+    pace = Pace(limits.max_query_rate)
+    endpoint = Endpoint(intake, metrics, limits.max_message_bytes, pace, shedding)
+    with ExitStack() as stack:
+        outbox.start()
+        stack.callback(outbox.stop, _LAST_ANSWERS)
+        reader.start()
+        stack.callback(reader.stop, _LAST_ANSWERS)
+        pipeline.start()
+        stack.callback(pipeline.stop, _LAST_BATCH)
+        _guard(config, vitals, metrics, stack)
+        stack.enter_context(endpoint.declared(session))
+        yield
+    if pipeline.finished:
+        snapshotter.finish()
 
 
 def _finished(question: Question, intake: Intake[Question], metrics: Metrics) -> None:
     """A question has had its last answer."""
-    intake.answered(question.size)
+    intake.answered(question.size, question.kind)
     metrics.queries.labels(question.kind).observe(question.age())
 
 
-def _watch(metrics: Metrics, intake: Intake[Question], registry: Registry, tasks: Tasks) -> None:
+def _guard(config: ServiceConfig, vitals: Vitals, metrics: Metrics, stack: ExitStack) -> None:
+    """Have a watchdog look after the pipeline."""
+    patience, exits = config.monitoring.stuck_after, config.monitoring.exit_when_stuck
+    if patience:
+        stuck = give_up(exits, patience, metrics.stuck.inc)
+        watchdog = Watchdog(lambda: vitals.turns, patience, stuck, exits)
+        watchdog.start()
+        stack.callback(watchdog.stop)
+
+
+def _watch(
+    metrics: Metrics,
+    intake: Intake[Question],
+    registry: Registry,
+    tasks: Tasks,
+    strains: Sequence[Strain],
+) -> None:
+    for strain in strains:
+        word, cause = strain.kind.word, strain.kind.cause
+        metrics.watch(word, f"Whether {cause}", partial(_is_active, strain))
     metrics.watch("queue_messages", "Measurements waiting", lambda: intake.depth)
     metrics.watch("queue_queries", "Queries not answered yet", lambda: intake.unanswered)
     metrics.watch("trajectories", "Trajectories held", lambda: len(registry))
     metrics.watch("trajectories_ready", "Trajectories that can be predicted", registry.count_ready)
     metrics.watch("tasks", "Closed-loop tasks under way", lambda: len(tasks))
+
+
+def _is_active(strain: Strain) -> float:
+    return float(strain.active)
+
+
+def _watch_durability(
+    metrics: Metrics, recovery: Recovery, snapshotter: Snapshotter, keeper: Keeper
+) -> None:
+    metrics.watch("catching_up", "Trajectories catching up with a log", lambda: recovery.behind)
+    metrics.watch("snapshot_age_seconds", "Age of the oldest unstored change", snapshotter.age)
+    metrics.watch(
+        "not_durable", "1 while states cannot be stored", lambda: float(not keeper.is_durable)
+    )
 
 
 def _serve_metrics(config: ServiceConfig, metrics: Metrics, stack: ExitStack) -> int | None:
@@ -228,7 +322,8 @@ def _greeting(service: Service) -> str:
         lines.append(f"  trajectories continued from the last run: {service.restored}")
     if service.metrics_port is not None:
         lines.append(f"  metrics: port {service.metrics_port}, /metrics")
-    lines.append("  try: koop-sim-client --system cartpole    (Ctrl-C stops)")
+    how = " --zenoh-config FILE" if "tls/" in where else ""
+    lines.append(f"  try: koop-sim-client --system cartpole{how}    (Ctrl-C stops)")
     return "\n".join(lines)
 
 

@@ -10,7 +10,6 @@ from random import Random
 
 import msgpack
 import pytest
-
 from fuzzing.catalogue import CORPUS, FILES, WIRE, corpus, first_of, guard_of, seeds_of
 from fuzzing.engines import inputs
 from fuzzing.guard import BrokenError, Guard

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 from integration.loopback import Loop, Source, config_for, loop, write_model
+from integration.secured import Secured, deploy, secured
 
 
 @pytest.fixture(scope="session")
@@ -26,3 +27,11 @@ def cart(koop: Loop) -> Source:
     source = Source(koop.session, "cart/0")
     source.stream(40)
     return source
+
+
+@pytest.fixture(scope="module")
+def guarded(tmp_path_factory: pytest.TempPathFactory, model: Path) -> Iterator[Secured]:
+    """A service behind the shipped TLS and access rules, one for all tests of a module."""
+    folder = tmp_path_factory.mktemp("guarded")
+    with secured(deploy(folder / "pki"), folder / "state", model) as running:
+        yield running

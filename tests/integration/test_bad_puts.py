@@ -5,14 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 
 import msgpack
 import numpy as np
 import pytest
-from integration.loopback import Loop, Source, config_for, loop, wait_until
+from integration.loopback import Loop, Source, wait_until
 
-from koop_protocol import ErrorCode, ErrorReply, PredictReply, encode, frame_key
+from koop_protocol import ErrorCode, encode, frame_key
 
 
 def packed(source: Source, **changes: object) -> bytes:
@@ -138,17 +137,6 @@ def test_a_control_before_any_frame_is_rejected(koop: Loop) -> None:
     source = Source(koop.session, "cart/0")
     source.put(source.control(0))
     wait_until(lambda: koop.rejected("unknown_trajectory") == 1)
-
-
-def test_there_is_a_limit_to_the_trajectories(tmp_path: Path, model: Path) -> None:
-    with loop(config_for(tmp_path, model, max_trajectories=2)) as koop:
-        for i in range(3):
-            Source(koop.session, f"cart/{i}", seed=i).stream(40)
-        wait_until(lambda: koop.rejected("too_many_trajectories") == 40)
-        assert isinstance(koop.predict("cart/1"), PredictReply)
-        reply = koop.predict("cart/2")
-        assert isinstance(reply, ErrorReply)
-        assert reply.details["refused"] == "too_many_trajectories"
 
 
 def test_a_gap_is_counted_and_never_learned_across(koop: Loop, cart: Source) -> None:

@@ -151,17 +151,6 @@ def test_lqr_of_an_unforced_trajectory_gets_an_error(koop: Loop) -> None:
     assert reply.code == "bad_controls"
 
 
-def test_a_reply_beyond_the_largest_message_is_refused(tmp_path: Path, model: Path) -> None:
-    with loop(config_for(tmp_path, model, max_message_bytes=100_000)) as koop:
-        Source(koop.session, "cart/0").stream(40)
-        reply = koop.ask_one("koop/predict/cart/0?horizon=200;return=frames")
-        assert isinstance(reply, ErrorReply)
-        assert reply.code == "too_large"
-        assert isinstance(
-            koop.ask_one("koop/predict/cart/0?horizon=20;return=frames"), PredictReply
-        )
-
-
 @pytest.mark.usefixtures("cart")
 def test_an_exception_of_ours_is_answered_and_logged(
     koop: Loop, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture

@@ -7,10 +7,10 @@ from random import Random
 
 import psutil
 from integration.loopback import RENDERER, Loop, Source, wait_until
+from load import ask
+from nonsense import spoilt_put, spoilt_query
 
 from koop_protocol import ErrorCode, PredictReply
-from nonsense import spoilt_put, spoilt_query
-from serving import ask
 
 ROUNDS, PUTS, QUERIES = 30, 60, 15
 GROWTH = 30_000_000  # bytes; the same again would come with a leak of 4 KB a message

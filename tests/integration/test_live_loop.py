@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 
@@ -14,7 +15,9 @@ from koop_protocol import ErrorCode, ErrorReply, LqrQuery, LqrReply, PredictQuer
 from koop_service.encoding.image_codec import ImageCodec
 from koop_service.encoding.weights import load_weights
 from koop_service.serving.config import EstimatorChoices
-from koop_service.serving.snapshots import SnapshotStore
+from koop_service.serving.durability.lmdb_store import LmdbStore
+from koop_service.serving.durability.sealing import unseal
+from koop_service.serving.durability.store import EVERY_SHARD
 
 
 def test_a_prediction_is_answered_by_selector_alone(koop: Loop, cart: Source) -> None:
@@ -173,7 +176,8 @@ def test_a_stream_leaves_the_same_bits_alone_and_in_company(tmp_path: Path, mode
                 if not others:
                     koop.state("cart/0")  # frame by frame: every batch has one
             koop.ask("koop/state/**")
-        records.append(SnapshotStore(config.state_folder).load()["cart/0"])
+        with closing(LmdbStore(config.state_folder)) as store:
+            records.append(unseal(store.load(EVERY_SHARD)["cart/0"]))
     for name, array in records[0]["lane"].items():
         np.testing.assert_array_equal(array, records[1]["lane"][name], err_msg=name)
     assert records[0]["lane"]["updates"] == 58

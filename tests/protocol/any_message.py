@@ -9,10 +9,13 @@ import numpy as np
 from koop_protocol import (
     Command,
     Control,
+    Durable,
+    Ending,
     EndReason,
     ErrorCode,
     ErrorReply,
     Frame,
+    Health,
     LqrCancel,
     LqrEnd,
     LqrQuery,
@@ -20,7 +23,10 @@ from koop_protocol import (
     LqrTask,
     PredictQuery,
     PredictReply,
+    ReplayQuery,
+    ReplayReply,
     StateReply,
+    TrajectoryEnd,
 )
 
 IMAGE_DTYPES = (np.uint8, np.float16, np.float32)
@@ -60,7 +66,14 @@ def subsets(*parts, at_least=0):
 
 
 frames = st.builds(
-    Frame, trajectories, epochs, sequences, st.integers(0, 64), images(), renderer=words
+    Frame,
+    trajectories,
+    epochs,
+    sequences,
+    st.integers(0, 64),
+    images(),
+    renderer=words,
+    logged=st.booleans(),
 )
 controls = st.builds(Control, trajectories, epochs, sequences, arrays(np.float64, 3))
 
@@ -196,6 +209,41 @@ states = st.builds(
     excitation=POSITIVE,
     counters=st.dictionaries(words, sequences, max_size=5),
 )
+replay_queries = st.builds(
+    ReplayQuery,
+    st.none() | epochs,
+    sequences,
+    st.none() | sequences,
+    st.integers(1, 4 * 1024 * 1024),
+)
+
+
+@st.composite
+def replay_replies(draw):
+    messages = tuple(draw(st.lists(st.binary(min_size=1, max_size=50), max_size=5)))
+    places = (draw(epochs), draw(sequences), draw(epochs), draw(sequences))
+    empty = not messages and draw(st.booleans())
+    return ReplayReply(
+        draw(trajectories),
+        messages,
+        draw(sequences),
+        draw(st.booleans()),
+        *((None,) * 4 if empty else places),
+        dropped=draw(sequences),
+    )
+
+
+healths = st.builds(
+    Health,
+    words,
+    words,
+    POSITIVE,
+    sequences,
+    sequences,
+    sequences,
+    st.none() | POSITIVE,
+    st.lists(words, max_size=3).map(tuple),
+)
 errors = st.builds(
     ErrorReply,
     st.sampled_from(ErrorCode) | st.just("a_later_code"),
@@ -214,5 +262,10 @@ messages = st.one_of(
     commands(),
     ends,
     states,
+    replay_queries,
+    replay_replies(),
+    st.builds(Durable, trajectories, epochs, sequences),
+    healths,
+    st.builds(TrajectoryEnd, trajectories, epochs, sequences, st.sampled_from(Ending), words),
     errors,
 )

@@ -16,9 +16,12 @@ import pytest
 from koop_protocol import (
     Command,
     Control,
+    Durable,
+    Ending,
     EndReason,
     ErrorReply,
     Frame,
+    Health,
     LqrCancel,
     LqrEnd,
     LqrQuery,
@@ -27,7 +30,10 @@ from koop_protocol import (
     Message,
     PredictQuery,
     PredictReply,
+    ReplayQuery,
+    ReplayReply,
     StateReply,
+    TrajectoryEnd,
     decode,
     encode,
 )
@@ -45,6 +51,7 @@ EXAMPLES: dict[str, Message] = {
     "frame float32, channels": Frame(
         "line3/robot7", "fedcba9876543210", 2**53 - 1, 64, np.ones((3, 1, 2), np.float32)
     ),
+    "frame, logged": Frame(*WHERE, 0, np.array([[7]], np.uint8), logged=True),
     "control": Control(*WHERE, np.array([0.25, -3.0])),
     "predict query, shortest": PredictQuery(),
     "predict query, controls": PredictQuery(
@@ -137,6 +144,29 @@ EXAMPLES: dict[str, Message] = {
         excitation=2.5,
         counters={"duplicates": 0, "gaps": 1},
     ),
+    "replay query, shortest": ReplayQuery(),
+    "replay query, from a number": ReplayQuery("0123456789abcdef", 300, max_bytes=65536),
+    "replay query, the next batch": ReplayQuery(after=1234),
+    "replay reply": ReplayReply(
+        "cartpole/0",
+        (b"\x81\xa1v\x01", b"\x80"),
+        position=1236,
+        end=False,
+        first_epoch="00000000000000aa",
+        first_seq=0,
+        last_epoch="0123456789abcdef",
+        last_seq=301,
+        dropped=5,
+    ),
+    "replay reply, empty": ReplayReply("cartpole/0", (), position=0, end=True),
+    "health, shortest": Health("serve:7", "0.1.0", 0.5, 0, 0, 0),
+    "health, degraded": Health(
+        "serve:7", "0.1.0", 3600.0, 100, 12, 3, 0.25, ("overloaded", "not_durable")
+    ),
+    "trajectory end": TrajectoryEnd(
+        "cartpole/0", "0123456789abcdef", 40, Ending.evicted, "idle for 900 s"
+    ),
+    "durable": Durable("cartpole/0", "0123456789abcdef", 299),
     "error": ErrorReply(
         "warming_up",
         "warming up, 12 of 36 frames",

@@ -60,6 +60,7 @@ STATE = {
         ({"image": np.zeros((4, 4), np.int8)}, ErrorCode.wrong_dtype),
         ({"image": with_nan(4, 4, dtype=np.float16)}, ErrorCode.not_finite),
         ({"image": with_nan(4, 4, dtype=np.float32)}, ErrorCode.not_finite),
+        ({"logged": 1}, ErrorCode.wrong_type),
         ({"renderer": None}, ErrorCode.wrong_type),
         ({"renderer": "ä" * 101}, ErrorCode.too_large),
         ({"renderer": "\ud800"}, ErrorCode.malformed),

@@ -11,12 +11,20 @@ import numpy as np
 import pytest
 
 from koop_protocol import (
+    CATCHING_UP,
+    HEALTH,
+    NOT_DURABLE,
+    OVERLOADED,
+    SHORT_OF_MEMORY,
     Command,
     Control,
+    Durable,
+    Ending,
     EndReason,
     ErrorCode,
     ErrorReply,
     Frame,
+    Health,
     Limits,
     LqrCancel,
     LqrEnd,
@@ -25,7 +33,10 @@ from koop_protocol import (
     LqrTask,
     PredictQuery,
     PredictReply,
+    ReplayQuery,
+    ReplayReply,
     StateReply,
+    TrajectoryEnd,
     client_token,
     control_key,
     decode_as,
@@ -33,7 +44,9 @@ from koop_protocol import (
     parse_key,
     predict_query_from_parameters,
     shard_of,
+    source_token,
 )
+from koop_protocol.limits import REPLAY_ROOM
 
 DOCUMENT = (Path(__file__).parents[2] / "docs" / "wire.md").read_text(encoding="utf-8")
 HEADINGS = {
@@ -48,6 +61,11 @@ HEADINGS = {
     "command": Command,
     "lqr_end": LqrEnd,
     "state": StateReply,
+    "replay_query": ReplayQuery,
+    "replay_reply": ReplayReply,
+    "durable": Durable,
+    "health": Health,
+    "trajectory_end": TrajectoryEnd,
     "error": ErrorReply,
 }
 
@@ -85,7 +103,8 @@ def test_the_shards_are_what_the_code_gives():
 
 def test_the_keys_are_keys():
     keys = [row[0].strip("`") for row in rows(section("## Keys")) if row[0].startswith("`koop")]
-    assert len(keys) == 6
+    keys.remove(HEALTH)
+    assert len(keys) == 9
     for key in keys:
         real = key.replace("<shard>", "1b").replace("<trajectory>", "cartpole/0")
         assert parse_key(real).trajectory == "cartpole/0"
@@ -110,8 +129,25 @@ def test_the_reasons_of_an_end_are_all_there():
     assert reasons == [reason.value for reason in EndReason]
 
 
+def test_the_reasons_of_a_trajectory_s_end_are_all_there():
+    reasons = [row[0].strip("`") for row in rows(section("### trajectory_end")) if len(row) == 2]
+    assert reasons == [reason.value for reason in Ending]
+
+
+def test_the_words_of_health_are_all_there():
+    known = [row[0].strip("`") for row in rows(section("### health")) if len(row) == 2]
+    assert known == [OVERLOADED, SHORT_OF_MEMORY, NOT_DURABLE, CATCHING_UP]
+
+
 def test_the_token_of_an_owner_is_what_the_code_gives():
     assert f"`{client_token('OWNER').replace('OWNER', '<owner>')}`" in section("## Control tasks")
+
+
+def test_a_log_s_token_and_room_are_what_the_code_gives():
+    text = section("## Sources that keep a log")
+    token = source_token("cartpole/0").replace("1b/cartpole/0", "<shard>/<trajectory>")
+    assert f"`{token}`" in text
+    assert f"{REPLAY_ROOM} bytes" in section("## Limits")
 
 
 def test_the_limits_are_the_defaults():

@@ -19,16 +19,13 @@ import numpy as np
 from koop_clients.flow.cylinder import CHANNELS, MEAN, RENDERER, SCALE, CylinderFlow
 from koop_clients.flow.forcing import Regime, law
 from koop_clients.flow.plant import FlowPlant, starting
-from koop_clients.flow.settings import FRAME_INTERVAL, FlowSettings
+from koop_clients.flow.settings import FRAME_INTERVAL, WINDOW, FlowSettings
 from koop_clients.flow.spinup import Progress, steady
 from koop_clients.recording.file import Header, describe, new_recording
 from koop_protocol import recording as names
 
 # The paper's lengths (A.3) [frames]; one frame of the steady flow is as good as many.
 FRAMES = {"rest": 4328, "schedule": 5000, "feedback": 5000, "mix": 5000, "steady": 1}
-
-# Attributes beside those of every recording: the channels' names and normalisation.
-CHANNELS_ATTRIBUTE, MEAN_ATTRIBUTE, SCALE_ATTRIBUTE = "channels", "channel_mean", "channel_scale"
 
 
 @dataclass(frozen=True)
@@ -89,8 +86,10 @@ def write_flow(
                     controls[i, k] = moment.rotation
                 wrote()
         describe(file, _header(recipe), [_entry(recipe)] * recipe.trajectories)
-        file.attrs[CHANNELS_ATTRIBUTE] = list(CHANNELS)
-        file.attrs[MEAN_ATTRIBUTE], file.attrs[SCALE_ATTRIBUTE] = MEAN, SCALE
+        file.attrs[names.CHANNELS_ATTRIBUTE] = list(CHANNELS)
+        file.attrs[names.CHANNEL_MEAN_ATTRIBUTE] = MEAN
+        file.attrs[names.CHANNEL_SCALE_ATTRIBUTE] = SCALE
+        file.attrs[names.WINDOW_ATTRIBUTE] = WINDOW
 
 
 def _data_sets(file: h5py.File, recipe: FlowRecipe, flow: CylinderFlow) -> tuple[Any, Any, Any]:

@@ -8,7 +8,8 @@ carry the free stream. Row 0 is on top.
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -45,6 +46,13 @@ class DivergedError(ArithmeticError):
         )
 
 
+class Turn(NamedTuple):
+    """So many lattice `steps` under one `rotation` [U/D]."""
+
+    steps: int
+    rotation: float
+
+
 class CylinderFlow:
     """Advances states of one flow. Holds the lattice, which never changes: no state of its own."""
 
@@ -63,16 +71,21 @@ class CylinderFlow:
 
         Raises DivergedError.
         """
-        if not abs(rotation) <= MAX_ROTATION * (1 + 1e-9):
-            raise ValueError(
-                f"the rotation is {rotation:g} U/D; expected {-MAX_ROTATION} to {MAX_ROTATION}"
-            )
+        return self.turned(state, [Turn(self.settings.frame_steps, rotation)])
+
+    def turned(self, state: np.ndarray, turns: Sequence[Turn]) -> np.ndarray:
+        """The state after all of these. Raises DivergedError."""
         settings = self.settings
-        speed = rotation * settings.speed / settings.diameter
-        following = self.lattice.advance(state, settings.frame_steps, speed)
-        if not np.isfinite(following[0].sum()):
+        for steps, rotation in turns:
+            if not abs(rotation) <= MAX_ROTATION * (1 + 1e-9):
+                raise ValueError(
+                    f"the rotation is {rotation:g} U/D; expected {-MAX_ROTATION} to {MAX_ROTATION}"
+                )
+            speed = rotation * settings.speed / settings.diameter
+            state = self.lattice.advance(state, steps, speed)
+        if not np.isfinite(state[0].sum()):
             raise DivergedError(settings)
-        return following
+        return state
 
     def mirrored(self, state: np.ndarray) -> np.ndarray:
         """The state upside down."""
@@ -109,6 +122,11 @@ def normalised(channels: np.ndarray) -> np.ndarray:
 def in_units(pictures: np.ndarray) -> np.ndarray:
     """(..., 4, H, W) of pictures back to Morton's units, float32."""
     return pictures.astype(np.float32) * SCALE[:, None, None] + MEAN[:, None, None]
+
+
+def stream_momentum(momenta: np.ndarray) -> np.ndarray:
+    """x-momentum over the free stream's, float32, of that channel of pictures (..., H, W)."""
+    return (momenta.astype(np.float32) * SCALE[1] + MEAN[1]) / np.float32(FREE_STREAM)
 
 
 def _weights(share: float) -> np.ndarray:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import argparse
 import math
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
+from functools import partial
 from typing import Literal
 
 import tyro
@@ -36,8 +38,8 @@ class Arguments:
     """Simulate plants, stream their cameras to a koop service, and watch the service learn.
 
     It asks for predictions while it streams and tells how far they are from what happens then.
-    With `--drive mpc` or `lqr` it lets the service's commands bring the pole to a target. Ctrl-C
-    stops it with a summary.
+    With `--drive mpc` or `lqr` it lets the service's commands bring the pole to a target, or calm
+    the cylinder's wake. Ctrl-C stops it with a summary.
     """
 
     system: Literal["pendulum", "double-pendulum", "cartpole", "cylinder"]
@@ -46,11 +48,12 @@ class Arguments:
     actuated: Flag = False
     """The pole has a motor, which excites it; its torque is streamed as the control. The cylinder's
     turns it by a random schedule; the rotation is streamed."""
-    drive: Literal["none", "excite", "lqr", "mpc", "plan", "pd", "state-lqr"] = "none"
+    drive: Literal["none", "excite", "lqr", "mpc", "plan", "pd", "state-lqr", "feedback"] = "none"
     """excite tracks random references. The others do so for a while, then bring the pole to the
-    target: lqr obeys the service's feedback gain, mpc its receding horizon, plan follows one plan
-    of it to the end, blindly; pd and state-lqr know the true state and ask nobody, for comparison.
-    All of them imply --actuated."""
+    target, or the wake to the steady flow: lqr obeys the service's feedback gain, mpc its receding
+    horizon, plan follows one plan of it to the end, blindly. For comparison pd and state-lqr know
+    the pole's true state, and feedback the velocity behind the cylinder, and ask nobody. All of
+    them imply --actuated."""
     trajectories: int = 1
     """How many plants to stream at once."""
     first: int = 0
@@ -86,18 +89,25 @@ class Arguments:
 
     def _check_kind(self) -> None:
         """Nothing may be asked of one kind of system that only the other knows."""
-        if not self.is_flow:
-            require(self.flow.reynolds is None, "reynolds", self.flow.reynolds,
-                    "nothing: only the cylinder stands in a flow")  # fmt: skip
+        if self.is_flow:
+            self._check_flow()
             return
-        require(not self.drives, "drive", self.drive, "none or excite: no drive knows the cylinder")
-        for name, value in {
-            **self.physical.given,
-            "strip": self.output.strip,
-            "record": self.output.record,
-        }.items():
+        default = FlowOptions()
+        for name, value in asdict(self.flow).items():
+            require(value == getattr(default, name), name.replace("_", "-"), value,
+                    "nothing: only the cylinder stands in a flow")  # fmt: skip
+        require(self.drive != "feedback", "drive", self.drive, "another one: it is the cylinder's")
+
+    def _check_flow(self) -> None:
+        known = self.drive not in ("plan", "pd", "state-lqr")
+        require(known, "drive", self.drive, "none, excite, mpc, lqr or feedback for the cylinder")
+        require(self.driving.target == "upright", "target", self.driving.target,
+                "nothing: the cylinder's wake is brought to the steady flow")  # fmt: skip
+        for name, value in {**self.physical.given, "strip": self.output.strip}.items():
             option = name.replace("_", "-")
             require(value is None, option, value, "nothing: it is not for the cylinder")
+        if self.output.record is not None and not self.drives:
+            raise ValueError("--record of the cylinder keeps a drive; add --drive mpc")
 
     @property
     def is_flow(self) -> bool:
@@ -116,7 +126,7 @@ class Arguments:
 
     @property
     def drives(self) -> bool:
-        """Whether the pole is brought to a target."""
+        """Whether the plant is brought to a target."""
         return self.drive not in ("none", "excite")
 
     @property
@@ -127,7 +137,7 @@ class Arguments:
     @property
     def takeover(self) -> float:
         """Number of the first frame of the drive; infinite without one."""
-        return round(self.driving.learn / FRAME_INTERVAL) if self.drives else math.inf
+        return round(self.driving.learn / self.interval) if self.drives else math.inf
 
     @property
     def frames(self) -> float:
@@ -153,9 +163,25 @@ class Arguments:
 
 def parse_arguments(arguments: list[str] | None = None) -> Arguments:
     """Read the command line; exits for an unknown option, raises ValueError for a bad value."""
-    return tyro.cli(
+    parse = partial(
+        tyro.cli,
         Arguments,
         prog="koop-sim-client",
         args=arguments,
         config=(tyro.conf.OmitArgPrefixes,),
     )
+    return parse(default=_FLOW) if _asks_for_the_cylinder(arguments) else parse()
+
+
+_FLOW = Arguments(
+    "cylinder",
+    driving=DriveOptions(learn=24.0, horizon=16, r=1e-2),
+    prediction=PredictionOptions(ahead=10, ask_every=1.5),
+)
+
+
+def _asks_for_the_cylinder(arguments: list[str] | None) -> bool:
+    """The cylinder's defaults are other ones, so it must be known before all else is read."""
+    parser = argparse.ArgumentParser(add_help=False, allow_abbrev=False)
+    parser.add_argument("--system")
+    return parser.parse_known_args(arguments)[0].system == "cylinder"

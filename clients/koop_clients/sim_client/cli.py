@@ -17,7 +17,7 @@ from koop_clients.queries import NO_REPLY, KoopClient, KoopError
 from koop_clients.sim_client.arguments import Arguments, parse_arguments
 from koop_clients.sim_client.display import Display
 from koop_clients.sim_client.driving.target import Target, read_target
-from koop_clients.sim_client.flow import FlowRun
+from koop_clients.sim_client.flowing.run import FlowRun
 from koop_clients.sim_client.live import LiveRun
 from koop_clients.sim_client.pacing import Stop
 
@@ -52,7 +52,7 @@ def _prepared(arguments: Arguments) -> Callable[[], None]:
 
 
 def run_flow(arguments: Arguments, settings: FlowSettings) -> None:
-    """Stream flows; then say what was streamed."""
+    """Stream flows and drive their wakes; then say what was found, and save what was asked for."""
     display = Display()
     with _connect(arguments, display) as session:
         stop = Stop()
@@ -60,8 +60,14 @@ def run_flow(arguments: Arguments, settings: FlowSettings) -> None:
         live = FlowRun(arguments, settings, session, display)
         live.run(stop)
         flush(session)
+    if arguments.output.record is not None:
+        arguments.output.record.parent.mkdir(parents=True, exist_ok=True)
+        live.record().save(arguments.output.record)
+        display.say(f"saved {arguments.output.record}")
     result = live.result()
     print(result.to_json() if arguments.output.json else "\n" + result.to_text())
+    if result.refusal:
+        sys.exit(f"koop-sim-client: the service did not drive: {result.refusal}")
 
 
 def run(arguments: Arguments, system: System, target: Target) -> None:

@@ -10,7 +10,7 @@ from typing import Annotated
 import tyro
 
 from koop_clients.connection import DEFAULT_ENDPOINT
-from koop_clients.flow.settings import REYNOLDS, FlowSettings
+from koop_clients.flow.settings import MAX_ROTATION, REYNOLDS, FlowSettings
 
 ANGLES = {"upright": 0.0, "hang": math.pi}
 """Targets by name [rad]."""
@@ -36,23 +36,23 @@ Flag = Annotated[bool, tyro.conf.FlagCreatePairsOff]
 
 @dataclass(frozen=True)
 class DriveOptions:
-    """Where the pole is to be brought, and by which means."""
+    """Where the plant is to be brought, and by which means."""
 
     target: str = "upright"
     """Where to bring the pole: upright, hang, an angle [rad] (0 is upright), or a picture of it
-    (.png or .npy, grey, 64 x 64)."""
+    (.png or .npy, grey, 64 x 64). A cylinder's wake is brought to the steady flow."""
     learn: float = 10.0
-    """Excitation before the drive begins [s]."""
+    """Excitation before the drive begins [s]; 24 of the cylinder."""
     start: OptionalRadians = None
     """Angle near which the drive begins [rad]."""
     starts: OptionalRange = None
     """Draw each plant's start from this range instead [rad]."""
     horizon: int = 10
-    """Frames that a plan looks ahead."""
+    """Frames that a plan looks ahead; 16 of the cylinder."""
     q: float = 1.0
     """Weight on the distance of the code from the target's."""
     r: float = 1e-3
-    """Weight on the torque [1/(N m)^2]."""
+    """Weight on the torque [1/(N m)^2]; 0.01 on the cylinder's rotation [(D/U)^2]."""
     qf: str = "none"
     """Weight of a plan's last step in q's place: none, riccati, or a number."""
     torque_bound: float = 20.0
@@ -137,9 +137,9 @@ class PredictionOptions:
     """Predictions asked for while the service learns."""
 
     ahead: int = 20
-    """Frames that predictions look ahead."""
+    """Frames that predictions look ahead; 10 of the cylinder."""
     ask_every: float = 0.1
-    """Simulated time between two predictions [s]."""
+    """Simulated time between two predictions [s]; 1.5 of the cylinder."""
 
     def __post_init__(self) -> None:
         require(self.ahead >= 1, "ahead", self.ahead, "at least 1")
@@ -184,6 +184,13 @@ class FlowOptions:
 
     reynolds: Annotated[float | None, unset("FLOAT", f"{REYNOLDS:g}")] = None
     """Reynolds number of the flow past the cylinder."""
+    rotation_bound: float = 0.42
+    """Fastest rotation that a drive may use [U/D]; 0.42 is 0.1 in the units of Morton et al."""
+
+    def __post_init__(self) -> None:
+        bound = self.rotation_bound
+        require(0 < bound <= MAX_ROTATION, "rotation-bound", bound,
+                f"a number above 0, up to {MAX_ROTATION}")  # fmt: skip
 
     @property
     def settings(self) -> FlowSettings:

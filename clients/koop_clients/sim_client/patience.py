@@ -41,7 +41,16 @@ class Patience:
         now = time.monotonic()
         self._since = now if self._since is None else self._since
         if now - self._since > _LONGEST:
-            raise error
+            raise _explained(error)
+
+
+def _explained(error: KoopError) -> KoopError:
+    """The refusal of a trajectory that was streamed all the time, and has not arrived."""
+    if error.code != ErrorCode.unknown_trajectory or "refused" in error.details:
+        return error
+    why = "where the hub has access rules, they do not let this certificate publish it"
+    message = f"{error.message}. Frames were put for {_LONGEST:g} s; {why}"
+    return KoopError(error.code, message, error.details)
 
 
 def in_few_words(error: KoopError) -> str:

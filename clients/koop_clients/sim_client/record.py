@@ -113,10 +113,10 @@ class Record:
             )
 
 
-def stack_series(series: Sequence[np.ndarray]) -> np.ndarray:
-    """Arrays (T_i, 3) as one (N, T, 3), the shorter ones filled up with NaN."""
+def stack_series(series: Sequence[np.ndarray], columns: int = 3) -> np.ndarray:
+    """Arrays (T_i, columns) as one (N, T, columns), the shorter ones filled up with NaN."""
     longest = max((len(rows) for rows in series), default=0)
-    stacked = np.full((len(series), longest, 3), np.nan)
+    stacked = np.full((len(series), longest, columns), np.nan)
     for row, values in zip(stacked, series, strict=True):
         row[: len(values)] = values
     return stacked

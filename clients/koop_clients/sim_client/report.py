@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 
 import numpy as np
@@ -183,22 +183,27 @@ class Result:
             f"streamed {self.frames} frames{plants} in {self.elapsed:.1f} s "
             f"({self.frames_per_s:.0f} frames/s), {self.simulated:.1f} s simulated"
         ]
-        lines += _error_lines(self)
+        rows = {
+            "first predictions": self.early,
+            "last predictions": self.late,
+            "the other plants": self.others,
+        }
+        lines += error_lines("RMSE per pixel after ", rows, FRAME_INTERVAL)
         lines += _latency_lines(self)
         lines += _drive_lines(self)
         return "\n".join(lines)
 
 
-def _error_lines(result: Result) -> list[str]:
-    if result.early is None:
+def error_lines(heading: str, rows: Mapping[str, Errors | None], interval: float) -> list[str]:
+    """A table of errors under their times ahead, `interval` [s] from frame to frame."""
+    known = {name: errors for name, errors in rows.items() if errors is not None}
+    if not known:
         return ["no prediction could be compared with what happened"]
-    heading = "".join(f"{h * FRAME_INTERVAL:>8g} s" for h in result.early.horizons)
-    lines = [f"\nRMSE per pixel after {heading}"]
-    rows = {"first predictions": result.early, "last predictions": result.late}
-    for name, errors in {**rows, "the other plants": result.others}.items():
-        if errors is not None:
-            lines.append(f"  {name:<19}" + _cells(errors.error))
-            lines.append(f"  {'  repeating a frame':<19}" + _cells(errors.repeat))
+    horizons = next(iter(known.values())).horizons
+    lines = [f"\n{heading:<21}" + "".join(f"{h * interval:>8g} s" for h in horizons)]
+    for name, errors in known.items():
+        lines.append(f"  {name:<19}" + _cells(errors.error))
+        lines.append(f"  {'  repeating a frame':<19}" + _cells(errors.repeat))
     return lines
 
 

@@ -14,8 +14,8 @@ class Forecast:
 
     Attributes:
         seq: number of the last frame that the prediction knows.
-        last: that frame, (H, W) uint8.
-        frames: predicted frames, (ahead, H, W) uint8; row i is frame seq + 1 + i.
+        last: that frame, (H, W) uint8 or (C, H, W).
+        frames: predicted frames, (ahead, ...); row i is frame seq + 1 + i.
     """
 
     seq: int
@@ -70,9 +70,13 @@ def judge(forecast: Forecast, truth: np.ndarray) -> Judged:
 
 
 def rmse(left: np.ndarray, right: np.ndarray) -> np.ndarray:
-    """Root mean square difference of each frame, uint8 (T, H, W), in units of full white: (T,)."""
-    difference = (left.astype(np.float64) - right.astype(np.float64)) / 255.0
-    return np.sqrt(np.mean(difference**2, axis=(1, 2)))
+    """Root mean square difference of each frame (T, ...): (T,).
+
+    Of uint8 pictures in units of full white, of fields in their own.
+    """
+    scale = 255.0 if right.dtype == np.uint8 else 1.0
+    difference = (left.astype(np.float64) - right.astype(np.float64)) / scale
+    return np.sqrt(np.mean(difference**2, axis=tuple(range(1, difference.ndim))))
 
 
 @dataclass(frozen=True)

@@ -68,6 +68,35 @@ class Bank:
         self._open.remove(lane)
         self._free.append(lane)
 
+    def compact(self) -> dict[int, int]:
+        """Give memory back where three quarters of the lanes or more are closed.
+
+        Returns the lanes that have moved, old to new; their bits are what they were.
+        """
+        capacity = self._factors.capacity
+        while capacity > LANES and 4 * len(self._open) <= capacity:
+            capacity = max(LANES, -(-capacity // (2 * LANES)) * LANES)
+        if capacity == self._factors.capacity:
+            return {}
+        free = [lane for lane in range(capacity) if lane not in self._open]
+        beyond = sorted(lane for lane in self._open if lane >= capacity)
+        moved = dict(zip(beyond, free, strict=False))
+        for old, new in moved.items():
+            self._move(old, new)
+        self._factors.shrink(capacity)
+        self._statistics.shrink(capacity)
+        self._free = free[len(moved) :][::-1]
+        return moved
+
+    def _move(self, old: int, new: int) -> None:
+        self._factors.insert(new, self._factors.extract(old))
+        statistics = self._statistics
+        statistics.insert(
+            new, statistics.covariance(old), statistics.seen(old), statistics.ring(old)
+        )
+        self._open.remove(old)
+        self._open.add(new)
+
     def reset(self, lane: int) -> None:
         """Back to the prior, for a new epoch of the same trajectory."""
         self._require_open(lane)

@@ -61,6 +61,17 @@ class FactorBatch:
             np.concatenate([old.steps, new.steps]),
         )
 
+    def shrink(self, capacity: int) -> None:
+        """Give back the memory of the lanes from `capacity`, a multiple of 64, on."""
+        old = self._arrays
+        self._arrays = _Arrays(
+            old.blocks[: capacity // LANES].copy(),
+            old.anchor[:capacity].copy(),
+            old.centre[:capacity].copy(),
+            old.ring[:capacity].copy(),
+            old.steps[:capacity].copy(),
+        )
+
     def update(self, lanes: Integers, W: Array, Y: Array) -> Array:
         """Fold measurement b, W[b] (d,) and Y[b] (n,), into lane lanes[b], for all b of B.
 

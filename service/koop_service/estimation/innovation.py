@@ -34,6 +34,12 @@ class InnovationStatistics:
         self._seen = np.concatenate([self._seen, np.zeros(missing, dtype=np.int64)])
         self._rings = np.concatenate([self._rings, np.zeros((missing, RECENT, n))])
 
+    def shrink(self, capacity: int) -> None:
+        """Give back the memory of the lanes from `capacity` on."""
+        self._covariances = self._covariances[:capacity].copy()
+        self._seen = self._seen[:capacity].copy()
+        self._rings = self._rings[:capacity].copy()
+
     def fold(self, lanes: Integers, E: Array) -> None:
         """Fold innovation E[b] (n,) into lane lanes[b], for all b in their order."""
         average(

@@ -82,6 +82,18 @@ class ControlJoin:
         """Whether a window, present or future, can ask for control `seq`."""
         return seq + 1 >= self._next_seq or any(window.seq == seq for window in self._windows)
 
+    def gives_up(self, frames: int) -> int | None:
+        """Highest control that `frames` more frames would give up waiting for, or None."""
+        if self._settings.control_size == 0:
+            return None
+        late = (
+            window.seq
+            for window in self._windows
+            if self.frames + frames - window.folded > self._limit
+            and window.seq not in self._controls
+        )
+        return max(late, default=None)
+
     def add_control(self, seq: int, u: Array) -> list[Transition]:
         """Take a needed control (p,); the transitions that it completes."""
         self._controls[seq] = u

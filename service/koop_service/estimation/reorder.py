@@ -41,6 +41,15 @@ class FrameOrder:
         """Whether its turn is over, and it was given up or is before the last gap."""
         return seq < self.run_start
 
+    def gap_before(self, seq: int) -> int | None:
+        """With frame `seq` too: the lowest that waits for a missing one, or None."""
+        return None if seq == self.next_seq else min((seq, *self._pending))
+
+    @property
+    def waiting(self) -> int:
+        """Frames that wait for a missing one."""
+        return len(self._pending)
+
     def add(self, seq: int, code: Array) -> None:
         """Put a frame in that is neither late nor a duplicate."""
         self._pending[seq] = code

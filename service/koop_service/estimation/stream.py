@@ -120,6 +120,24 @@ class Stream:
         """Lowest number whose frame or control can still change the fold: replay from there."""
         return self._join.first_needed
 
+    def knows_frame(self, seq: int) -> bool:
+        """Whether frame `seq` of this epoch came already, or its turn has passed."""
+        return self._order.is_duplicate(seq) or self._order.is_late(seq)
+
+    def knows_control(self, seq: int) -> bool:
+        """Whether control `seq` of this epoch came already, or is of no use any more."""
+        return self._join.has_control(seq) or not self._join.needs_control(seq)
+
+    def lacks(self, seq: int) -> int | None:
+        """What is missing before frame `seq` of this epoch: a frame, or a control given up with it.
+
+        None if nothing is; else the number of a frame that its source puts after all of that. A
+        record of the source's puts that reaches this frame, and was folded, has none of it.
+        """
+        gap, control = self._order.gap_before(seq), self._join.gives_up(1 + self._order.waiting)
+        later = [] if gap is None else [gap]
+        return max(later + ([] if control is None else [control + 1]), default=None)
+
     def admit_frame(self, epoch: str, seq: int) -> Admission:
         """What `fold_frame` would make of this frame now, to ask before encoding it.
 

@@ -12,6 +12,8 @@ import tyro
 try:
     from koop_service.evaluation import prediction
     from koop_service.evaluation.control import command as control
+    from koop_service.evaluation.fluid import command as fluid
+    from koop_service.evaluation.fluid.control import command as fluid_control
     from koop_service.evaluation.options import Options
     from koop_service.evaluation.studies import command as studies
 except ModuleNotFoundError as error:
@@ -21,6 +23,8 @@ SUBCOMMANDS: Mapping[str, tuple[type[Options], Callable[[Any], None]]] = {
     "prediction": (prediction.Prediction, prediction.run),
     "studies": (studies.Studies, studies.run),
     "control": (control.Control, control.run),
+    "fluid": (fluid.Fluid, fluid.run),
+    "fluid-control": (fluid_control.FluidControl, fluid_control.run),
 }
 """Name -> its options and what runs with them."""
 

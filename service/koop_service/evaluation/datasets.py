@@ -50,15 +50,26 @@ def options(system: System, trajectories: int, seed: int) -> list[str]:
 
 def test_set(system: System, trajectories: int, seed: int, folder: Path) -> TestSet:
     """The test set of a system, made if `folder` has none of just these options."""
-    wanted = options(system, trajectories, seed)
-    digest = hashlib.blake2b(" ".join(wanted).encode(), digest_size=6).hexdigest()
-    path = folder / f"{system.name}-{digest}.h5"
-    if not path.exists():
-        _make(path, wanted)
+    path = made(system, trajectories, seed, folder)
     recording = load_recording(path)
     with h5py.File(path, "r") as file:
         states: Any = file[names.STATES_DATASET]
         return TestSet(recording, states[:])
+
+
+def made(system: System, trajectories: int, seed: int, folder: Path) -> Path:
+    """The file of a test set, made if `folder` has none of just these options."""
+    path = kept_at(system, trajectories, seed, folder)
+    if not path.exists():
+        _make(path, options(system, trajectories, seed))
+    return path
+
+
+def kept_at(system: System, trajectories: int, seed: int, folder: Path) -> Path:
+    """Where in `folder` a test set is kept, by all its options."""
+    wanted = " ".join(options(system, trajectories, seed))
+    digest = hashlib.blake2b(wanted.encode(), digest_size=6).hexdigest()
+    return folder / f"{system.name}-{digest}.h5"
 
 
 def _make(path: Path, wanted: list[str]) -> None:

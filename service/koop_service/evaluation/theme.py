@@ -58,14 +58,19 @@ LOOKS = {
     "reconstruction": Look("autoencoder alone", "#7d8894"),
     "offline": Look("offline", "#ff5d5d"),
     "partial": Look("partial updates", "#5aa9ff"),
+    "once": Look("one update", "#5aa9ff"),
     "full": Look("full updates", "#4fd18b"),
     "learned-A": Look("learned A", "#f5b83d"),
     "learned-B": Look("learned B", "#f5b83d"),
     "learned-B-partial": Look("learned B, partial", "#c08a1e"),
+    "learned-B-once": Look("learned B, one update", "#c08a1e"),
     "learned-B-full": Look("learned B, full", "#8f6a20"),
     "svd": Look("truncated SVD", "#c58bff"),
     "repeat-last": Look("repeat last frame", "#7d8894"),
+    "repeat-period": Look("repeat last period", "#93a0ad"),
     "mean-frame": Look("mean frame", "#5f6974"),
+    "previous-frame": Look("frame before", "#5f6974"),
+    "period-ago": Look("frame a period ago", "#93a0ad"),
 }
 SERIES = ("#5aa9ff", "#ff5d5d", "#4fd18b", "#f5b83d", "#c58bff", "#5fd4d6", "#e58fb8")
 """Colours of lines that stand for systems."""

@@ -79,8 +79,9 @@ class Recording:
         count = self.frames.shape[1] // length
         # The control between two pieces belongs to neither; a last one makes all pieces equal.
         controls = np.concatenate([self.controls, np.zeros_like(self.controls[:, :1])], axis=1)
+        pieces = len(self.frames) * count  # told, since nothing can be counted where p is 0
         frames, controls = (
-            values[:, : count * length].reshape(-1, length, *values.shape[2:])
+            values[:, : count * length].reshape(pieces, length, *values.shape[2:])
             for values in (self.frames, controls)
         )
         return replace(self, frames=frames, controls=controls[:, :-1])

@@ -15,6 +15,8 @@ from typing import Annotated, Literal
 from tyro.conf import arg
 from tyro.constructors import PrimitiveConstructorSpec
 
+from koop_service.serving.process import tells_memory
+
 LOOPBACK = "tcp/127.0.0.1:7447"
 """Where a client looks if nobody says otherwise: Zenoh's own port, on this machine only."""
 
@@ -39,8 +41,9 @@ class NetworkSettings:
     """Take pictures from sources on this machine through shared memory. Much faster for pictures
     above 100 KB; but Zenoh keeps about 18 MB for every source that ever connected."""
     zenoh_config: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="")] = None
-    """A raw Zenoh configuration file (JSON5 or YAML), for TLS and access control; the options above
-    act on top of it, and without them it decides alone."""
+    """A raw Zenoh configuration file (JSON5 or YAML), for TLS and access control, such as koop-pki
+    writes; its certificates lie beside it. The options above act on top of it, and without them it
+    decides alone."""
 
     def __post_init__(self) -> None:
         if self.listen == ():
@@ -139,23 +142,57 @@ class LimitSettings:
     """What the service is willing to take."""
 
     max_trajectories: int = 10_000
-    """Trajectories held at once; frames of a further one are rejected."""
+    """Trajectories in memory at once; for a further one the longest idle goes to disk."""
+    evict_after: float = 900.0
+    """Time without a message or a query after which a trajectory leaves memory for the disk [s];
+    the next one brings it back, with the same bits. 0: none leaves, but to make room."""
     queue_messages: int = 2048
     """Measurements waiting at once; then the sources are held back, nothing is dropped."""
     queue_bytes: int = 64 << 20
-    """Bytes of measurements waiting at once, and of queries; then the sources are held back."""
+    """Bytes of measurements waiting at once, then the sources are held back; and of each kind of
+    query."""
     queue_queries: int = 256
-    """Queries waiting at once; further ones are answered 'overloaded'."""
+    """Queries of each kind waiting at once; further ones are answered 'overloaded'."""
+    max_query_rate: int = 1000
+    """Predictions a second on one key; further ones are answered 'overloaded'. 0 is no limit."""
+    max_memory: int = 0
+    """Memory of the process [bytes] from which on a further trajectory takes another's place and
+    costly predictions are answered 'overloaded'; 0 is no limit. A container's own limit should be a
+    fifth larger."""
     max_message_bytes: int = 4 << 20
-    """Largest message [bytes]."""
+    """Largest message that is taken in [bytes]."""
+    max_reply_bytes: int = 32 << 20
+    """Largest answer [bytes]. Predicted frames fill it: 127 of the flow past the cylinder, which
+    take half a second to draw."""
     max_horizon: int = 1000
     """Longest prediction or control sequence [frames]."""
 
     def __post_init__(self) -> None:
         for name in ("max_trajectories", "queue_messages", "queue_queries", "max_horizon"):
             _require_at_least(name, getattr(self, name), 1)
-        _require_at_least("max_message_bytes", self.max_message_bytes, 1024)
+        for name in ("max_message_bytes", "max_reply_bytes"):
+            _require_at_least(name, getattr(self, name), 1024)
+        if not 0 <= self.evict_after < math.inf:
+            raise ValueError(f"evict_after is {self.evict_after}; expected 0 or more seconds")
+        for name in ("max_query_rate", "max_memory"):
+            _require_at_least(name, getattr(self, name), 0)
+        if self.max_memory and not tells_memory():
+            raise ValueError("max_memory needs /proc, which this system has not; leave it at 0")
         _require_at_least("queue_bytes", self.queue_bytes, self.max_message_bytes)
+
+
+@dataclass(frozen=True)
+class DurabilitySettings:
+    """What survives a kill of the service."""
+
+    snapshot_every: Annotated[float, arg(metavar="SECONDS")] = 3.0
+    """Time between two snapshots of all estimators that have changed; 0 takes one at the end only.
+    Sources that keep a log need not keep what is in a snapshot."""
+
+    def __post_init__(self) -> None:
+        every = self.snapshot_every
+        if not (math.isfinite(every) and (every == 0 or every >= 0.1)):
+            raise ValueError(f"snapshot_every is {every}; expected 0, or 0.1 s or more")
 
 
 @dataclass(frozen=True)
@@ -172,9 +209,17 @@ class MonitoringSettings:
     """Logs on standard error: text for people, json with one object a line for machines."""
     log_level: Literal["debug", "info", "warning", "error"] = "info"
     """Least severe log lines shown."""
+    stuck_after: float = 60.0
+    """Time without a turn of the pipeline after which it is taken for stuck and every thread's
+    stack is logged [s], 2 or more; 0 never looks."""
+    exit_when_stuck: bool = True
+    """End a stuck process, for its supervisor to start anew: it answers nobody and holds its
+    sources back, while a new one continues from the last snapshots."""
 
     def __post_init__(self) -> None:
         _require_at_least("metrics_port", self.metrics_port, 0)
+        if not (self.stuck_after == 0 or 2 <= self.stuck_after < math.inf):
+            raise ValueError(f"stuck_after is {self.stuck_after}; expected 0, or 2 or more")
         _require_one_of("log_format", self.log_format, ("text", "json"))
         _require_one_of("log_level", self.log_level, ("debug", "info", "warning", "error"))
 
@@ -213,6 +258,7 @@ class ServiceConfig:
     estimator: EstimatorChoices = field(default_factory=EstimatorChoices)
     compute: ComputeSettings = field(default_factory=ComputeSettings)
     limits: LimitSettings = field(default_factory=LimitSettings)
+    durability: DurabilitySettings = field(default_factory=DurabilitySettings)
     monitoring: MonitoringSettings = field(default_factory=MonitoringSettings)
 
 

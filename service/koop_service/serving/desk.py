@@ -1,8 +1,12 @@
 """Questions in the pipeline: each waits for what its trajectory sent before, then is answered.
 
 A question about one trajectory is answered as soon as everything that this trajectory sent before
-it is folded. One by wildcard waits for everybody's, and is then answered a trajectory at a time, so
-that it cannot hold the measurements up for long.
+it is folded; where the trajectory is catching up with its source's log, half a second after it came
+at the latest, out of what is folded by then. One by wildcard waits for everybody's, and is then
+answered a trajectory at a time, so that it cannot hold the measurements up for long.
+
+What concerns control goes first, then states, then predictions. Costly predictions are shed while
+there is a strain (see `strain.py`). Health waits for nothing.
 """
 
 from __future__ import annotations
@@ -10,43 +14,40 @@ from __future__ import annotations
 import logging
 import time
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 from koop_protocol import (
+    HEALTH,
     ErrorCode,
     KeyKind,
-    Limits,
-    LqrCancel,
-    LqrQuery,
-    LqrTask,
-    Message,
-    PredictQuery,
     ProtocolError,
     check_trajectory,
-    decode,
-    decode_as,
     encode,
     lqr_key,
     predict_key,
-    predict_query_from_parameters,
     state_key,
 )
-from koop_service.serving import queries
+from koop_service.serving.durability.recovery import Recovery
 from koop_service.serving.intake import Intake
 from koop_service.serving.logs import Brake
 from koop_service.serving.metrics import Metrics
 from koop_service.serving.outbox import Outbox
 from koop_service.serving.questions import Question, error_bytes, is_wildcard
 from koop_service.serving.registry import Registry
-from koop_service.serving.steering.commander import Commander
+from koop_service.serving.replies import Answer, Replies
+from koop_service.serving.shedding import Shedding
 from koop_service.serving.trajectories import Trajectory
+from koop_service.serving.vitals import Vitals
 
 log = logging.getLogger("koop.queries")
 
-_Answer = Callable[[Trajectory], bytes]
+_CATCHING_UP = 0.5
+"""Longest wait for a trajectory that catches up [s]."""
 
 _KEYS = {KeyKind.predict: predict_key, KeyKind.lqr: lqr_key, KeyKind.state: state_key}
+_TURNS = (KeyKind.lqr, KeyKind.state, KeyKind.predict)
+"""Who is answered first."""
 
 
 @dataclass(eq=False)
@@ -66,61 +67,89 @@ class Desk:
         self,
         intake: Intake[Question],
         registry: Registry,
-        commander: Commander,
+        replies: Replies,
+        recovery: Recovery,
         outbox: Outbox,
         metrics: Metrics,
-        limits: Limits,
+        vitals: Vitals,
+        shedding: Shedding,
     ) -> None:
         self._intake = intake
         self._registry = registry
-        self._commander = commander
+        self._replies = replies
+        self._recovery = recovery
         self._outbox = outbox
         self._metrics = metrics
-        self._limits = limits
-        self._pending: deque[_Pending] = deque()
+        self._vitals = vitals
+        self._shedding = shedding
+        self._pending: dict[KeyKind, deque[_Pending]] = {kind: deque() for kind in _TURNS}
         self._brake = Brake()
 
     def collect(self) -> None:
-        """Take in the questions that have come."""
+        """Take in the questions that have come, and say at once that we live."""
         for waiting in self._intake.take_queries():
             question = waiting.query
+            if question.kind is KeyKind.health:
+                self._outbox.reply(question, HEALTH, encode(self._vitals.report()))
+                self._outbox.close(question)
+                continue
             lane = None if is_wildcard(question) else _name_in(question)
-            self._pending.append(_Pending(question, waiting.ticket, lane))
+            self._pending[question.kind].append(_Pending(question, waiting.ticket, lane))
 
     @property
     def busy(self) -> bool:
         """Whether there is something to do for an answer, at once."""
-        return any(pending.lane is not None or self._is_due(pending) for pending in self._pending)
+        return any(
+            not self._waits(pending) and (pending.lane is not None or self._is_due(pending))
+            for pending in self._waiting()
+        )
+
+    @property
+    def waits(self) -> bool:
+        """Whether somebody waits for an answer."""
+        return any(self._pending.values())
 
     def urgent(self) -> Iterator[tuple[str, int]]:
         """Trajectories that a question waits for, and before which ticket."""
-        for pending in self._pending:
+        for pending in self._waiting():
             if pending.lane is not None and pending.answers is None:
                 yield pending.lane, pending.ticket
 
     def answer(self, budget: float) -> None:
-        """Answer what is due, oldest first, for about `budget` [s]."""
+        """Answer what is due, each kind oldest first, for about `budget` [s]."""
         deadline = time.monotonic() + budget
-        for _ in range(len(self._pending)):
-            pending = self._pending.popleft()
-            if not self._is_due(pending) or not self._work_on(pending, deadline):
-                self._pending.append(pending)
+        for queue in self._pending.values():
+            for _ in range(len(queue)):
+                pending = queue.popleft()
+                if not self._is_due(pending) or not self._work_on(pending, deadline):
+                    queue.append(pending)
 
     def abandon(self) -> None:
         """Tell everybody who still waits that the service is going down."""
         self.collect()
-        for pending in self._pending:
+        for pending in self._waiting():
             error = ProtocolError(
                 ErrorCode.overloaded, "the service is shutting down", remedy="ask again later"
             )
             self._refuse(pending.question, error)
             self._outbox.close(pending.question)
-        self._pending.clear()
+        for queue in self._pending.values():
+            queue.clear()
+
+    def _waiting(self) -> Iterator[_Pending]:
+        return (pending for queue in self._pending.values() for pending in queue)
 
     def _is_due(self, pending: _Pending) -> bool:
-        if pending.answers is not None:
+        if pending.answers is not None or self._shedding.forbids(pending.question):
             return True
-        return not self._intake.is_behind(pending.ticket, pending.lane)
+        behind = self._intake.is_behind(pending.ticket, pending.lane)
+        return not behind and not self._waits(pending)
+
+    def _waits(self, pending: _Pending) -> bool:
+        """Whether it waits for its trajectory to catch up."""
+        if pending.lane is None or not self._recovery.is_behind(pending.lane):
+            return False
+        return pending.question.age() < _CATCHING_UP
 
     def _work_on(self, pending: _Pending, deadline: float) -> bool:
         """Go on answering; False if time was up before the last answer."""
@@ -147,7 +176,10 @@ class Desk:
         return True
 
     def _answers(self, question: Question) -> Iterator[None]:
-        answer = self._understand(question)
+        refusal = self._shedding.refusal(question)
+        if refusal is not None:
+            raise refusal
+        answer = self._replies.understand(question).answer
         if not is_wildcard(question):
             yield self._send(question, answer, self._find(_name_in(question)))
             return
@@ -161,11 +193,11 @@ class Desk:
         for name in names:
             yield self._answer_one_of_several(question, answer, name)
 
-    def _answer_one_of_several(self, question: Question, answer: _Answer, name: str) -> None:
+    def _answer_one_of_several(self, question: Question, answer: Answer, name: str) -> None:
         """An answer or an error for this one; the others get theirs in any case."""
-        trajectory = self._registry.find(name)
+        trajectory = self._registry.held(name)
         if trajectory is None:
-            return
+            return  # it was evicted between two answers
         try:
             self._send(question, answer, trajectory)
         except ProtocolError as error:
@@ -178,40 +210,9 @@ class Desk:
         except Exception:
             self._fail(question)
 
-    def _send(self, question: Question, answer: _Answer, trajectory: Trajectory) -> None:
+    def _send(self, question: Question, answer: Answer, trajectory: Trajectory) -> None:
         key = _KEYS[question.kind](trajectory.name)
         self._outbox.reply(question, key, answer(trajectory))
-
-    def _understand(self, question: Question) -> _Answer:
-        """The function from a trajectory to the reply's bytes. Raises ProtocolError."""
-        reply = self._replier(question)
-        return lambda trajectory: encode(reply(trajectory), self._limits)
-
-    def _replier(self, question: Question) -> Callable[[Trajectory], Message]:
-        limits, payload = self._limits, question.payload
-        if question.kind is KeyKind.state:
-            return queries.state
-        if question.kind is KeyKind.lqr:
-            return self._controller(decode(_required(payload), limits))
-        if payload is None:
-            prediction = predict_query_from_parameters(question.parameters, limits)
-        else:
-            prediction = decode_as(PredictQuery, payload, limits)
-        return lambda trajectory: queries.predict(trajectory, prediction)
-
-    def _controller(self, order: Message) -> Callable[[Trajectory], Message]:
-        if isinstance(order, LqrQuery):
-            return lambda trajectory: queries.control(trajectory, order)
-        if isinstance(order, LqrTask):
-            return lambda trajectory: self._commander.begin(trajectory, order)
-        if isinstance(order, LqrCancel):
-            return lambda trajectory: self._commander.cancel(trajectory, order)
-        raise ProtocolError(
-            ErrorCode.malformed,
-            f"a {type(order).__name__} came as a query",
-            "an lqr_query, lqr_task or lqr_cancel message",
-            "send each message on the key that docs/wire.md names for it",
-        )
 
     def _find(self, name: str) -> Trajectory:
         check_trajectory(name)
@@ -237,14 +238,3 @@ class Desk:
 
 def _name_in(question: Question) -> str:
     return question.key.split("/", 2)[-1]
-
-
-def _required(payload: bytes | None) -> bytes:
-    if payload is None:
-        raise ProtocolError(
-            ErrorCode.malformed,
-            "the query has no payload",
-            "an lqr_query, lqr_task or lqr_cancel message as its payload",
-            "see docs/wire.md",
-        )
-    return payload

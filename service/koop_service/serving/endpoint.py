@@ -12,35 +12,62 @@ from koop_protocol import (
     CLIENT_TOKENS,
     CONTROLS,
     FRAMES,
+    HEALTH,
     LQRS,
     PREDICTIONS,
+    SOURCE_TOKENS,
     STATES,
     ErrorCode,
     KeyKind,
     ProtocolError,
     owner_of,
+    trajectory_of,
 )
+from koop_service.serving.durability.news import LogPresence
 from koop_service.serving.intake import Intake, Presence
 from koop_service.serving.metrics import Metrics
+from koop_service.serving.pace import Pace
 from koop_service.serving.questions import Question, ZenohQuestion, error_bytes
+from koop_service.serving.shedding import Shedding
+from koop_service.serving.strain import RETRY_AFTER
 
 log = logging.getLogger("koop.endpoint")
 
-_QUERYABLES = {PREDICTIONS: KeyKind.predict, LQRS: KeyKind.lqr, STATES: KeyKind.state}
+_QUERYABLES = {
+    PREDICTIONS: KeyKind.predict,
+    LQRS: KeyKind.lqr,
+    STATES: KeyKind.state,
+    HEALTH: KeyKind.health,
+}
+_BY_COUNT, _BY_RATE = "queries", "rate"
+"""Reasons to shed a query before anybody looks at it."""
 
 
 class Endpoint:
     """What the service hears: frames, controls, queries, and who is there."""
 
-    def __init__(self, intake: Intake[Question], metrics: Metrics, max_bytes: int) -> None:
+    def __init__(
+        self,
+        intake: Intake[Question],
+        metrics: Metrics,
+        max_bytes: int,
+        pace: Pace,
+        shedding: Shedding,
+    ) -> None:
         self._intake = intake
         self._metrics = metrics
         self._max_bytes = max_bytes
+        self._pace = pace
+        self._shedding = shedding
 
     @contextmanager
     def declared(self, session: zenoh.Session) -> Iterator[None]:
         """Listen on the session as long as the context is open."""
         with ExitStack() as stack:
+            callback = zenoh.handlers.Callback(self._meet, indirect=False)
+            stack.enter_context(
+                session.liveliness().declare_subscriber(SOURCE_TOKENS, callback, history=True)
+            )
             for key in (FRAMES, CONTROLS):
                 callback = zenoh.handlers.Callback(self._measure, indirect=False)
                 stack.enter_context(session.declare_subscriber(key, callback))
@@ -72,15 +99,47 @@ class Endpoint:
             return
         self._intake.notice(Presence(owner, sample.kind == zenoh.SampleKind.PUT))
 
+    def _meet(self, sample: zenoh.Sample) -> None:
+        try:
+            trajectory = trajectory_of(str(sample.key_expr))
+        except ProtocolError as error:
+            log.warning("a source's liveliness token is passed over: %s", error)
+            return
+        self._intake.tell(LogPresence(trajectory, sample.kind == zenoh.SampleKind.PUT))
+
     def _asker(self, kind: KeyKind) -> Callable[[zenoh.Query], None]:
         def ask(query: zenoh.Query) -> None:
-            question = ZenohQuestion(kind, query, self._max_bytes)
-            if not self._intake.ask(question, question.size):
-                self._metrics.refused.labels(str(ErrorCode.overloaded)).inc()
-                question.refuse(error_bytes(_overloaded()))
-                question.close()
+            size = 0 if query.payload is None else len(query.payload)
+            if size > self._max_bytes:
+                self._refuse(query, _too_large(size, self._max_bytes))
+                return
+            question = ZenohQuestion(kind, query)
+            wait = self._pace.wait(question.key) if kind is KeyKind.predict else 0.0
+            if wait:
+                self._metrics.shed.labels(_BY_RATE).inc()
+                self._refuse(query, _too_often(wait))
+            elif (refusal := self._shedding.refusal(question)) is not None:
+                self._refuse(query, refusal)
+            elif not self._intake.ask(question, question.size, kind):
+                self._metrics.shed.labels(_BY_COUNT).inc()
+                self._refuse(query, _too_many())
 
         return ask
+
+    def _refuse(self, query: zenoh.Query, error: ProtocolError) -> None:
+        self._metrics.refused.labels(str(error.code)).inc()
+        with query:
+            query.reply_err(error_bytes(error))
+
+
+def put_durable(session: zenoh.Session, key: str, payload: bytes) -> None:
+    """Tell a source what its log need not keep; none of it may get lost, or the log fills up."""
+    session.put(key, payload, congestion_control=zenoh.CongestionControl.BLOCK)
+
+
+def put_notice(session: zenoh.Session, key: str, payload: bytes) -> None:
+    """Send what may be lost, and must not hold anybody up."""
+    session.put(key, payload, congestion_control=zenoh.CongestionControl.DROP)
 
 
 def put_command(session: zenoh.Session, key: str, payload: bytes) -> None:
@@ -99,7 +158,7 @@ def _too_large(size: int, limit: int) -> ProtocolError:
         ErrorCode.too_large,
         f"the message has {size} bytes",
         f"at most {limit}",
-        "send smaller images, or raise --max-message-bytes",
+        "send smaller or fewer images, or raise koop-serve's --max-message-bytes",
         {"limit": limit},
     )
 
@@ -110,9 +169,19 @@ def _deleted() -> ProtocolError:
     )
 
 
-def _overloaded() -> ProtocolError:
+def _too_many() -> ProtocolError:
     return ProtocolError(
         ErrorCode.overloaded,
         "the service has more queries than it can answer",
-        remedy="ask again later, or less often",
+        remedy=f"ask again in {RETRY_AFTER:g} s, or less often",
+        details={"reason": _BY_COUNT, "retry_after": RETRY_AFTER},
+    )
+
+
+def _too_often(wait: float) -> ProtocolError:
+    return ProtocolError(
+        ErrorCode.overloaded,
+        "predictions of this trajectory are asked for too often",
+        remedy=f"ask again in {wait:.2g} s, or raise --max-query-rate",
+        details={"reason": _BY_RATE, "retry_after": wait},
     )

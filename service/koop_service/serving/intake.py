@@ -10,12 +10,13 @@ from __future__ import annotations
 
 import threading
 import time
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Generic, TypeVar
 
 from koop_protocol import ProtocolError
+from koop_service.serving.durability.news import LogNews
 from koop_service.serving.turns import Arrival, Turns, lane_of
 
 __all__ = ["Arrival", "Intake", "Presence", "Waiting", "lane_of"]
@@ -40,11 +41,12 @@ class Presence:
 
 
 class Intake(Generic[Q]):
-    """Measurements and queries on their way to the pipeline.
+    """Measurements, queries and news of sources' logs on their way to the pipeline.
 
     `put` blocks while the queue is full, or the part of it that one source may fill: it runs on the
     source's own link, so that the source is held back (what Zenoh's BLOCK means) and nothing is
-    dropped. `ask` never blocks: an overloaded service says so.
+    dropped. `ask` never blocks: an overloaded service says so. Each kind of query has bounds of its
+    own, so that a flood of one leaves room for the others.
     """
 
     def __init__(
@@ -64,8 +66,9 @@ class Intake(Generic[Q]):
         self._turns = Turns(max_messages, max_bytes, known)
         self._queries: deque[Waiting[Q]] = deque()
         self._presences: deque[Presence] = deque()
-        self._unanswered = 0
-        self._query_bytes = 0
+        self._news: deque[LogNews] = deque()
+        self._unanswered: Counter[str] = Counter()
+        self._query_bytes: Counter[str] = Counter()
         self._tickets = 0
         self._closed = False
 
@@ -77,7 +80,12 @@ class Intake(Generic[Q]):
     @property
     def unanswered(self) -> int:
         """Queries taken in and not answered yet."""
-        return self._unanswered
+        return self._unanswered.total()
+
+    @property
+    def load(self) -> float:
+        """How full the queue of measurements is: from 1 on sources are held back."""
+        return self._turns.load
 
     def put(self, key: str, data: bytes, fault: ProtocolError | None = None) -> bool:
         """Add a measurement, waiting for space; False if the queue was closed instead."""
@@ -92,28 +100,34 @@ class Intake(Generic[Q]):
             self._work.notify()
         return True
 
-    def ask(self, query: Q, size: int = 0) -> bool:
-        """Add a query of `size` bytes; False if there are too many already, or too large ones."""
+    def ask(self, query: Q, size: int = 0, kind: str = "") -> bool:
+        """Add a query of `size` bytes; False if too many of its kind wait, or too large ones."""
         with self._lock:
-            too_many = self._unanswered >= self._max_queries
-            if self._closed or too_many or self._query_bytes + size > self._max_bytes:
+            too_many = self._unanswered[kind] >= self._max_queries
+            if self._closed or too_many or self._query_bytes[kind] + size > self._max_bytes:
                 return False
-            self._unanswered += 1
-            self._query_bytes += size
+            self._unanswered[kind] += 1
+            self._query_bytes[kind] += size
             self._queries.append(Waiting(query, self._next_ticket()))
             self._work.notify()
         return True
 
-    def answered(self, size: int = 0) -> None:
-        """Make room for another query, after one of `size` bytes."""
+    def answered(self, size: int = 0, kind: str = "") -> None:
+        """Make room for another query, after one of `size` bytes of this kind."""
         with self._lock:
-            self._unanswered -= 1
-            self._query_bytes -= size
+            self._unanswered[kind] -= 1
+            self._query_bytes[kind] -= size
 
     def notice(self, presence: Presence) -> None:
         """Add that an owner came or went; never blocks, and is never refused."""
         with self._lock:
             self._presences.append(presence)
+            self._work.notify()
+
+    def tell(self, news: LogNews) -> None:
+        """Add news of a source's log; never blocks, and is never refused."""
+        with self._lock:
+            self._news.append(news)
             self._work.notify()
 
     def wait(self, timeout: float) -> None:
@@ -153,6 +167,13 @@ class Intake(Generic[Q]):
             self._presences.clear()
             return presences
 
+    def take_news(self) -> list[LogNews]:
+        """News of sources' logs since the last call, in order."""
+        with self._lock:
+            news = list(self._news)
+            self._news.clear()
+            return news
+
     def is_behind(self, ticket: int, lane: str | None) -> bool:
         """Whether a measurement of this trajectory (None: of any) older than `ticket` waits."""
         with self._lock:
@@ -168,8 +189,8 @@ class Intake(Generic[Q]):
             self._space.notify_all()
 
     def _has_work(self, now: float) -> bool:
-        others = self._queries or self._presences or self._closed
-        return bool(others) or self._turns.ready_at(now) <= now
+        others = (self._queries, self._presences, self._news)
+        return self._closed or any(others) or self._turns.ready_at(now) <= now
 
     def _next_ticket(self) -> int:
         self._tickets += 1

@@ -9,6 +9,7 @@ from __future__ import annotations
 import logging
 import time
 from collections import defaultdict
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,6 +17,7 @@ from numpy.typing import NDArray
 
 from koop_protocol import (
     Control,
+    Ending,
     ErrorCode,
     Frame,
     KeyKind,
@@ -25,9 +27,11 @@ from koop_protocol import (
     decode,
     frame_key,
     parse_key,
+    replay_key,
 )
 from koop_protocol.checks import Image
 from koop_service.encoding.image_codec import ImageCodec
+from koop_service.serving.durability.recovery import Recovery
 from koop_service.serving.intake import Arrival, lane_of
 from koop_service.serving.logs import Brake
 from koop_service.serving.metrics import Metrics
@@ -42,11 +46,11 @@ Array = NDArray[np.float64]
 
 @dataclass(slots=True)
 class _Accepted:
-    """A message that came at `at` [s] and will be folded; a frame's code is computed in between."""
+    """A message that will be folded; a frame's code is computed in between."""
 
     trajectory: Trajectory
     message: Frame | Control
-    at: float
+    arrival: Arrival
     code: Array | None = None
 
 
@@ -54,18 +58,26 @@ class Measurements:
     """Folds arrivals into the registry's trajectories, in the order given."""
 
     def __init__(
-        self, registry: Registry, refusals: Refusals, metrics: Metrics, limits: Limits
+        self,
+        registry: Registry,
+        refusals: Refusals,
+        recovery: Recovery,
+        metrics: Metrics,
+        limits: Limits,
+        changed: Callable[[Iterable[Trajectory]], None],
     ) -> None:
         self._registry = registry
         self._refusals = refusals
+        self._recovery = recovery
         self._metrics = metrics
         self._limits = limits
+        self._changed = changed
         self._brake = Brake()
 
     def process(self, arrivals: list[Arrival]) -> dict[Trajectory, float]:
         """Use every arrival or account for it; raises nothing.
 
-        Returns the trajectories that have a new newest frame, and when that came [s].
+        Returns the trajectories that have a new newest live frame, and when that came [s].
         """
         accepted: list[_Accepted] = []
         advanced: dict[Trajectory, float] = {}
@@ -73,12 +85,24 @@ class Measurements:
             message = self._read(arrival)
             if message is None:
                 continue
-            if self._registry.would_replace(message):
-                # A new run with other controls: what its predecessor sent goes first.
+            if self._must_go_first(accepted, message):
                 advanced |= self._fold(accepted)
                 accepted = []
             self._accept(arrival, message, accepted)
         return advanced | self._fold(accepted)
+
+    def _must_go_first(self, accepted: list[_Accepted], message: Frame | Control) -> bool:
+        """Whether what was accepted has to be folded before this message is looked at.
+
+        Because it is a new run's with other controls, or a trajectory leaves memory for it.
+        """
+        leaves = self._registry.displaced_by(message)
+        if leaves is not None and any(item.trajectory is leaves for item in accepted):
+            return True
+        try:
+            return self._registry.would_replace(message)
+        except ProtocolError:
+            return False  # it will be refused for that
 
     def _read(self, arrival: Arrival) -> Frame | Control | None:
         try:
@@ -91,7 +115,7 @@ class Measurements:
                     f"a {type(message).__name__} came as a measurement",
                     "a frame or a control",
                 )
-            _check_key(arrival.key, message)
+            _check_key(arrival, message)
         except ProtocolError as error:
             self._reject(lane_of(arrival.key), error)
         except Exception:
@@ -104,38 +128,54 @@ class Measurements:
         self, arrival: Arrival, message: Frame | Control, accepted: list[_Accepted]
     ) -> None:
         try:
+            if not self._is_due(arrival, message):
+                return
             trajectory = self._registry.admit(message)
         except ProtocolError as error:
             self._reject(lane_of(arrival.key), error)
         except Exception:
             self._lose("admitting a message", 1)
         else:
-            accepted.append(_Accepted(trajectory, message, arrival.at))
+            accepted.append(_Accepted(trajectory, message, arrival))
+
+    def _is_due(self, arrival: Arrival, message: Frame | Control) -> bool:
+        if arrival.replayed:
+            return not self._recovery.has_come(message)
+        return self._recovery.admits(arrival, message)
 
     def _fold(self, accepted: list[_Accepted]) -> dict[Trajectory, float]:
         """Fold them, and tell which trajectories have a new newest frame, and since when."""
         self._encode(accepted)
-        folded = {Frame: 0, Control: 0}
+        folded, replayed = {Frame: 0, Control: 0}, 0
         advanced: dict[Trajectory, float] = {}
         for item in accepted:
-            before = item.trajectory.last_seq
+            before, epoch = item.trajectory.last_seq, item.trajectory.epoch
             if self._fold_one(item):
                 folded[type(item.message)] += 1
-            if item.trajectory.last_seq != before:
-                advanced[item.trajectory] = item.at
+                replayed += item.arrival.replayed
+            if item.trajectory.last_seq != before and not item.arrival.replayed:
+                advanced[item.trajectory] = item.arrival.at
+            if item.trajectory.epoch != epoch:
+                name, over = item.trajectory.name, Ending.replaced_epoch
+                self._registry.ended(name, epoch, before + 1, over)
+        touched = {item.trajectory: None for item in accepted}
+        self._changed(touched)
         try:
-            updates = self._registry.update_estimators({item.trajectory: None for item in accepted})
+            updates = self._registry.update_estimators(touched)
         except Exception:
             self._lose("updating the estimators", len(accepted))
             return {}
         self._metrics.frames.inc(folded[Frame])
         self._metrics.controls.inc(folded[Control])
         self._metrics.updates.inc(updates)
+        self._metrics.replayed.inc(replayed)
         return advanced
 
     def _fold_one(self, item: _Accepted) -> bool:
         message = item.message
         try:
+            if not self._is_next(item):
+                return False
             if isinstance(message, Control):
                 item.trajectory.fold_control(message)
             elif item.code is None:
@@ -149,6 +189,12 @@ class Measurements:
         else:
             return True
         return False
+
+    def _is_next(self, item: _Accepted) -> bool:
+        """Whether the fold may take it now; a live message that comes too early is held."""
+        if item.arrival.replayed:
+            return True
+        return self._recovery.folds(item.arrival, item.message, item.trajectory)
 
     def _encode(self, items: list[_Accepted]) -> None:
         """Compute the codes, all frames of one model together."""
@@ -173,7 +219,7 @@ class Measurements:
         self._metrics.batch.observe(len(group))
 
     def _reject(self, lane: str, error: ProtocolError) -> None:
-        trajectory = self._registry.find(lane)
+        trajectory = self._registry.held(lane)
         if trajectory is not None:
             trajectory.rejected[str(error.code)] += 1
         self._refusals.note(lane, error)
@@ -190,9 +236,12 @@ def _stack(images: list[Image]) -> NDArray[np.generic]:
     return batch if batch.dtype == np.uint8 else batch.astype(np.float32, copy=False)
 
 
-def _check_key(key: str, message: Frame | Control) -> None:
+def _check_key(arrival: Arrival, message: Frame | Control) -> None:
     """ProtocolError unless the message came on the key that belongs to it."""
     expected = (frame_key if isinstance(message, Frame) else control_key)(message.trajectory)
+    if arrival.replayed:
+        expected = replay_key(message.trajectory)
+    key = arrival.key
     if key == expected:
         return
     kind = KeyKind.frame if isinstance(message, Frame) else KeyKind.control

@@ -21,8 +21,19 @@ class Metrics:
         self.lost = self._counter("lost", "Messages taken in and then lost by a fault of ours")
         self.refused = self._counter("refused", "Queries answered by an error, by code", ["code"])
         self.unsent = self._counter("unsent", "Answers given up because callers did not read them")
+        self.evicted = self._counter("evicted", "Trajectories that left memory for the disk")
+        self.revived = self._counter("revived", "Trajectories that came back from the disk")
+        self.shed = self._counter("shed", "Queries refused to make room, by reason", ["reason"])
+        self.stuck = self._counter("stuck", "Times the pipeline stood still for too long")
         self.held = self._counter("held", "Times a source was held back by a full queue")
         self.commands = self._counter("commands", "Commands put, by the plan's status", ["status"])
+        self.replays = self._counter("replays", "Questions to the logs of sources")
+        self.replayed = self._counter("replayed", "Messages folded out of the logs of sources")
+        self.deferred = self._counter(
+            "deferred", "Live messages passed over while the logs of their sources were read"
+        )
+        self.snapshots = self._counter("snapshots", "States of trajectories stored")
+        self.unstored = self._counter("unstored", "Batches of states that could not be stored")
         self.batch = Histogram(
             "koop_batch_frames",
             "Frames in one encoder batch",
@@ -46,6 +57,13 @@ class Metrics:
         self.commanding = Histogram(
             "koop_command_seconds",
             "Time from a frame's arrival to its command's hand-out [s]",
+            buckets=_SECONDS,
+            registry=self.registry,
+        )
+
+        self.storing = Histogram(
+            "koop_store_seconds",
+            "Time to store one batch of states [s]",
             buckets=_SECONDS,
             registry=self.registry,
         )

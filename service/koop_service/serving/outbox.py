@@ -8,11 +8,18 @@ from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from koop_service.serving.questions import Question
+from koop_protocol import ErrorCode, ProtocolError
+from koop_service.serving.questions import Question, error_bytes
 
 log = logging.getLogger("koop.answers")
 
-_MAX_BYTES = 64 << 20
+_FULL = error_bytes(
+    ProtocolError(
+        ErrorCode.overloaded,
+        "more answers wait for their callers than the service has room for",
+        remedy="ask again later, or for less",
+    )
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,19 +32,23 @@ class _Answer:
 
 
 class Outbox:
-    """Sends answers in order. What does not fit into its memory is given up and counted."""
+    """Sends answers in order.
+
+    What does not fit into its memory is given up and counted; the question's caller is told once.
+    """
 
     def __init__(
         self,
         closed: Callable[[Question], None],
         unsent: Callable[[], None],
-        max_bytes: int = _MAX_BYTES,
+        max_bytes: int,
     ) -> None:
         self._closed = closed
         self._unsent = unsent
         self._max_bytes = max_bytes
         self._answers: deque[_Answer] = deque()
         self._bytes = 0
+        self._given_up: set[Question] = set()
         self._work = threading.Condition()
         self._stopping = False
         self._thread = threading.Thread(target=self._run, name="koop-outbox", daemon=True)
@@ -70,7 +81,12 @@ class Outbox:
         with self._work:
             if size and self._bytes + size > self._max_bytes:
                 self._unsent()
-                return
+                if answer.question in self._given_up:
+                    return
+                self._given_up.add(answer.question)
+                answer, size = _Answer(answer.question, None, _FULL), len(_FULL)
+            elif not size:
+                self._given_up.discard(answer.question)
             self._bytes += size
             self._answers.append(answer)
             self._work.notify()

@@ -3,7 +3,8 @@
 No lock guards an estimator, because nobody else touches one. Each turn of the loop first serves
 the measurements that a question waits for, then answers, then takes one batch of the oldest
 measurements: questions wait for one batch at most, and cannot starve the measurements either.
-Commands wait for nobody: they go out as soon as the frames of their batch are folded.
+Commands wait for nobody: they go out as soon as the frames of their batch are folded. What the logs
+of sources send goes before live measurements: these are of use only after it.
 """
 
 from __future__ import annotations
@@ -14,19 +15,27 @@ import time
 from collections.abc import Callable
 
 from koop_service.serving.desk import Desk
+from koop_service.serving.durability.recovery import Recovery
+from koop_service.serving.durability.snapshotter import Snapshotter
+from koop_service.serving.eviction import Eviction
 from koop_service.serving.intake import Arrival, Intake
 from koop_service.serving.measurements import Measurements
 from koop_service.serving.questions import Question
 from koop_service.serving.steering.commander import Commander
+from koop_service.serving.vitals import Vitals
 
 log = logging.getLogger("koop.pipeline")
 
 _ANSWERING = 0.01
 """Longest time spent on answers between two batches [s]."""
+_BRIEFLY = 0.002
+"""The same while measurements come faster than they are folded [s]."""
 _FINISHING = 0.5
 """Longest time spent on what still waits when the service stops [s]."""
 _IDLE = 1.0
 """Longest sleep [s]."""
+_WAITING = 0.01
+"""The same while a question waits for a trajectory to catch up [s]."""
 
 
 class Pipeline:
@@ -38,6 +47,10 @@ class Pipeline:
         measurements: Measurements,
         desk: Desk,
         commander: Commander,
+        vitals: Vitals,
+        recovery: Recovery,
+        snapshotter: Snapshotter,
+        eviction: Eviction,
         batch: int,
         lost: Callable[[int], None],
     ) -> None:
@@ -45,6 +58,10 @@ class Pipeline:
         self._measurements = measurements
         self._desk = desk
         self._commander = commander
+        self._vitals = vitals
+        self._recovery = recovery
+        self._snapshotter = snapshotter
+        self._eviction = eviction
         self._batch = batch
         self._lost = lost
         self._stopping = threading.Event()
@@ -67,16 +84,29 @@ class Pipeline:
 
     def step(self) -> None:
         """One turn of the loop."""
+        self._vitals.turn()
         self._desk.collect()
         # After the questions: whoever asks for a task has declared its token before.
         self._commander.attend(self._intake.take_presences())
+        self._recovery.attend(self._intake.take_news())
         self._process(self._urgent())
-        self._desk.answer(_ANSWERING)
+        self._desk.answer(_BRIEFLY if self._vitals.overloaded else _ANSWERING)
+        self._replay()
         self._process(self._intake.take(self._batch))
+        self._snapshotter.step()
+        self._eviction.step()
 
     def _process(self, arrivals: list[Arrival]) -> None:
         if arrivals:
             self._commander.command(self._measurements.process(arrivals))
+            self._vitals.folded()
+
+    def _replay(self) -> None:
+        """Fold what logs have sent, a batch at most, and the live messages that waited for it."""
+        replays = self._recovery.take(self._batch)
+        self._process([arrival for replay in replays for arrival in replay.arrivals])
+        for replay in replays:
+            self._process(self._recovery.finish(replay))
 
     def _urgent(self) -> list[Arrival]:
         """What questions wait for, a batch at most."""
@@ -90,13 +120,18 @@ class Pipeline:
 
     def _run(self) -> None:
         while not self._stopping.is_set():
-            if not self._desk.busy:
-                self._intake.wait(_IDLE)
+            if not (self._desk.busy or self._recovery.is_busy):
+                self._intake.wait(self._patience())
             try:
                 self.step()
             except Exception:
                 log.exception("a turn of the pipeline failed; the service goes on")
         self._finish()
+
+    def _patience(self) -> float:
+        """How long to sleep if nothing comes [s]."""
+        waiting = _WAITING if self._desk.waits else _IDLE
+        return min(waiting, self._recovery.pause(), self._snapshotter.pause())
 
     def _finish(self) -> None:
         """Fold what still waits, as far as time allows, and answer everybody."""

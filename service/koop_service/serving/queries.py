@@ -6,11 +6,14 @@ what the caller should know. Nothing here knows how questions come and answers g
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
 from koop_protocol import (
     ErrorCode,
+    Limits,
     LqrQuery,
     LqrReply,
     PredictQuery,
@@ -26,9 +29,13 @@ from koop_service.serving.trajectories import Trajectory
 
 Array = NDArray[np.float64]
 
+_ENVELOPE = 4096
+"""Bytes of a reply that do not grow with its steps."""
 
-def predict(trajectory: Trajectory, query: PredictQuery) -> PredictReply:
-    """Roll the present model out from the last folded frame (eq. 8)."""
+
+def predict(trajectory: Trajectory, query: PredictQuery, limits: Limits) -> PredictReply:
+    """Roll the present model out from the last folded frame (eq. 8); `limits` are the reply's."""
+    _check_room(trajectory, query, limits)
     history, model = trajectory.recent_codes(), trajectory.model()
     controls = _controls(trajectory, query)
     codes = forecast(model, history, controls)
@@ -43,8 +50,9 @@ def predict(trajectory: Trajectory, query: PredictQuery) -> PredictReply:
     )
 
 
-def control(trajectory: Trajectory, query: LqrQuery) -> LqrReply:
+def control(trajectory: Trajectory, query: LqrQuery, limits: Limits) -> LqrReply:
     """Controls that bring the trajectory to a target (eq. 13), and what they should lead to."""
+    _check_room(trajectory, query, limits)
     return set_out(trajectory, query).reply
 
 
@@ -69,6 +77,26 @@ def state(trajectory: Trajectory) -> StateReply:
         excitation=status.excitation if ready else 0.0,
         counters=trajectory.counters(),
     )
+
+
+def _check_room(trajectory: Trajectory, query: PredictQuery | LqrQuery, limits: Limits) -> None:
+    """ProtocolError (too_large), before they are drawn, for more frames than a reply can hold."""
+    if "frames" not in query.returns:
+        return
+    shape, dtype = tuple(trajectory.codec.image_shape), trajectory.dtype
+    settings = trajectory.settings
+    frame = math.prod(shape) * dtype.itemsize
+    numbers = 8 * (2 * settings.code_size + settings.control_size)
+    most = max(0, limits.max_message_bytes - _ENVELOPE) // (frame + numbers)
+    if query.horizon > most:
+        raise ProtocolError(
+            ErrorCode.too_large,
+            f"{query.horizon} frames of {shape} {dtype} have {query.horizon * frame / 1e6:.1f} MB",
+            f"at most {most} in one reply",
+            "ask for fewer steps or for codes only, or start koop-serve with a larger "
+            "--max-reply-bytes",
+            {"limit": limits.max_message_bytes, "frames": most},
+        )
 
 
 def _std(trajectory: Trajectory, model: LinearModel, history: Array, controls: Array) -> Array:

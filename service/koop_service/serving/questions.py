@@ -48,12 +48,12 @@ class Question(Protocol):
 class ZenohQuestion:
     """A Zenoh query. It must be closed, else its caller waits until the timeout."""
 
-    def __init__(self, kind: KeyKind, query: zenoh.Query, max_bytes: int) -> None:
+    def __init__(self, kind: KeyKind, query: zenoh.Query) -> None:
         self.kind = kind
         self._arrived = time.monotonic()
         self.key = str(query.key_expr)
         self.parameters = dict(cast(Iterable[tuple[str, str]], query.parameters))
-        self.payload = _payload(query, max_bytes)
+        self.payload = None if query.payload is None else query.payload.to_bytes()
         self._query = query
 
     @property
@@ -87,12 +87,3 @@ def error_bytes(error: ProtocolError) -> bytes:
         return encode(ErrorReply.from_error(error))
     except ProtocolError:
         return encode(ErrorReply(str(error.code)[:60], error.problem[:200]))
-
-
-def _payload(query: zenoh.Query, max_bytes: int) -> bytes | None:
-    if query.payload is None:
-        return None
-    if len(query.payload) > max_bytes:
-        # Not copied out: the decoder refuses what is one byte too long as it refuses all of it.
-        return bytes(max_bytes + 1)
-    return query.payload.to_bytes()

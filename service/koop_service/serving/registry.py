@@ -3,42 +3,32 @@
 from __future__ import annotations
 
 import logging
+import time
 from collections import defaultdict
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
 import numpy as np
 
-from koop_protocol import Control, ErrorCode, Frame, ProtocolError
+from koop_protocol import Control, Ending, ErrorCode, Frame, ProtocolError
 from koop_service.encoding.catalogue import Catalogue, ModelEntry
 from koop_service.encoding.image_codec import ImageCodec
 from koop_service.estimation.estimator import Bank
 from koop_service.estimation.settings import EstimatorSettings
 from koop_service.estimation.stream import Stream
 from koop_service.serving.config import EstimatorChoices
-from koop_service.serving.records import check_record, restored, snapshot_of
+from koop_service.serving.durability.sealing import unseal
+from koop_service.serving.equipment import Equipment
+from koop_service.serving.records import check_record, restored
 from koop_service.serving.refusals import Refusals
+from koop_service.serving.residents import Residents
 from koop_service.serving.trajectories import REMEMBERED_EPOCHS, Trajectory, check_image
 
 log = logging.getLogger("koop.trajectories")
 
 
-def settings_for(entry: ModelEntry, chosen: EstimatorChoices, p: int) -> EstimatorSettings:
-    """What the user chose, else what the model's card recommends, for p controls."""
-    card = entry.card.estimator
-    return EstimatorSettings(
-        code_size=entry.card.code_size,
-        history=card.history if chosen.history is None else chosen.history,
-        control_size=p,
-        affine=card.affine if chosen.affine is None else chosen.affine,
-        rho=card.rho if chosen.rho is None else chosen.rho,
-        forgetting=card.forgetting if chosen.forgetting is None else chosen.forgetting,
-        window=chosen.window,
-    )
-
-
-class Registry:
-    """The trajectories, the models that they use, and the banks that hold their estimators."""
+class Registry(Residents):
+    """Who is let in, with which model, in which bank; see `Residents` for who is in memory."""
 
     def __init__(
         self,
@@ -47,43 +37,18 @@ class Registry:
         refusals: Refusals,
         max_trajectories: int,
         device: str = "cpu",
+        clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        self._catalogue = catalogue
-        self._choices = choices
+        super().__init__(max_trajectories, clock)
+        self._equipment = Equipment(catalogue, choices, device)
         self._refusals = refusals
-        self._max_trajectories = max_trajectories
-        self._device = device
-        self._trajectories: dict[str, Trajectory] = {}
-        self._codecs: dict[str, ImageCodec] = {}
-        self._banks: dict[tuple[str, int], Bank] = {}
-
-    def __len__(self) -> int:
-        return len(self._trajectories)
-
-    def __iter__(self) -> Iterator[Trajectory]:
-        return iter(self._trajectories.values())
-
-    def __contains__(self, name: object) -> bool:
-        return name in self._trajectories
-
-    def names(self) -> list[str]:
-        """Names of all trajectories."""
-        return list(self._trajectories)
-
-    def count_ready(self) -> int:
-        """Trajectories that can be predicted."""
-        return sum(trajectory.ready for trajectory in list(self._trajectories.values()))
-
-    def find(self, name: str) -> Trajectory | None:
-        """The trajectory of that name."""
-        return self._trajectories.get(name)
 
     def admit(self, message: Frame | Control) -> Trajectory:
         """The trajectory that the message is for, opened at its first frame.
 
         Raises ProtocolError where the message does not fit, and where there is no model or no room.
         """
-        trajectory = self._trajectories.get(message.trajectory)
+        trajectory = self.find(message.trajectory)
         if isinstance(message, Control):
             if trajectory is None:
                 raise _no_frame_yet(message)
@@ -98,7 +63,7 @@ class Registry:
         """Whether the message starts a new epoch with another control size, so new estimators."""
         if isinstance(message, Control):
             return False
-        trajectory = self._trajectories.get(message.trajectory)
+        trajectory = self.find(message.trajectory)
         return (
             trajectory is not None
             and message.control_size != trajectory.settings.control_size
@@ -116,9 +81,9 @@ class Registry:
 
     def why_unknown(self, name: str) -> ProtocolError:
         """What to tell somebody who asks about a trajectory that is not there."""
-        entry, refused = self._catalogue.match(name), self._refusals.last(name)
+        entry, refused = self._equipment.match(name), self._refusals.last(name)
         if entry is None:
-            return self._no_model(name)
+            return self._equipment.no_model(name)
         details: dict[str, str | int | float] = {"trajectory": name, "trajectories": len(self)}
         if refused is not None:
             details["refused"] = str(refused.code)
@@ -134,18 +99,14 @@ class Registry:
             details,
         )
 
-    # Snapshots
+    # Coming back
 
-    def snapshot(self) -> dict[str, dict[str, Any]]:
-        """A record of each trajectory that has been folded into."""
-        return {t.name: snapshot_of(t) for t in self if t.stream.epoch is not None}
-
-    def restore(self, records: Mapping[str, Mapping[str, Any]]) -> int:
-        """Open the trajectories that still fit models and settings; how many."""
+    def restore(self, records: Mapping[str, bytes]) -> int:
+        """Open the trajectories that are whole and still fit models and settings; how many."""
         left_out: list[str] = []
-        for name, record in records.items():
+        for name, sealed in records.items():
             try:
-                self._trajectories[name] = self._restored(name, record)
+                self._settle_in(self._restored(name, unseal(sealed)))
             except Exception as error:
                 left_out.append(f"{name[:200]!r}: {error}")
         if left_out:
@@ -156,37 +117,34 @@ class Registry:
             )
         return len(records) - len(left_out)
 
-    def _restored(self, name: str, record: Mapping[str, Any]) -> Trajectory:
-        entry = self._entry_for(name)
-        settings = settings_for(entry, self._choices, int(record["settings"]["control_size"]))
-        check_record(record, entry, settings)
-        return restored(name, record, entry, self._codec(entry), self._bank(entry, settings))
-
     def equipment(
         self, entry: ModelEntry, control_size: int
     ) -> tuple[ImageCodec, EstimatorSettings]:
         """What a trajectory of this model would be opened with."""
-        return self._codec(entry), settings_for(entry, self._choices, control_size)
+        return self._equipment.codec(entry), self._equipment.settings(entry, control_size)
+
+    def _restored(self, name: str, record: Mapping[str, Any]) -> Trajectory:
+        equipment, entry = self._equipment, self._equipment.match(name)
+        if entry is None:
+            raise ValueError("there is no model for it any more")
+        settings = equipment.settings(entry, int(record["settings"]["control_size"]))
+        check_record(record, entry, settings)
+        bank = equipment.bank(entry, settings)
+        return restored(name, record, entry, equipment.codec(entry), bank)
 
     # Opening
 
     def _open(self, frame: Frame, former: Trajectory | None) -> Trajectory:
-        if former is None and len(self) >= self._max_trajectories:
-            raise ProtocolError(
-                "too_many_trajectories",
-                f"{len(self)} trajectories are here already",
-                f"at most {self._max_trajectories}",
-                "raise --max-trajectories",
-                {"limit": self._max_trajectories},
-            )
-        entry = self._entry_for(frame.trajectory)
-        settings = settings_for(entry, self._choices, frame.control_size)
-        codec = self._codec(entry)
+        equipment, entry = self._equipment, self._equipment.entry_for(frame.trajectory)
+        settings, codec = equipment.settings(entry, frame.control_size), equipment.codec(entry)
         check_image(frame, entry, codec)
-        bank = self._bank(entry, settings)
+        bank = equipment.bank(entry, settings)
         ended: tuple[str, ...] = ()
-        if former is not None:
+        if former is None:
+            self._make_room()
+        else:
             ended = (*former.ended_epochs(), former.epoch)[-REMEMBERED_EPOCHS:]
+            self._tell(former, Ending.replaced_epoch)
             former.bank.close(former.lane)
         trajectory = Trajectory(
             frame.trajectory,
@@ -198,41 +156,8 @@ class Registry:
             frame.epoch,
             ended,
         )
-        self._trajectories[frame.trajectory] = trajectory
+        self._settle_in(trajectory)
         return trajectory
-
-    def _entry_for(self, name: str) -> ModelEntry:
-        entry = self._catalogue.match(name)
-        if entry is None:
-            raise self._no_model(name)
-        return entry
-
-    def _codec(self, entry: ModelEntry) -> ImageCodec:
-        if entry.name not in self._codecs:
-            try:
-                self._codecs[entry.name] = entry.load(self._device)
-            except (ValueError, RuntimeError) as error:
-                raise ProtocolError(
-                    ErrorCode.no_model, f"the model {entry.name!r} cannot be loaded: {error}"
-                ) from error
-        return self._codecs[entry.name]
-
-    def _bank(self, entry: ModelEntry, settings: EstimatorSettings) -> Bank:
-        key = (entry.name, settings.control_size)
-        if key not in self._banks:
-            self._banks[key] = Bank(settings)
-        return self._banks[key]
-
-    def _no_model(self, name: str) -> ProtocolError:
-        models = [f"{e.name} ({' '.join(e.patterns)})" for e in self._catalogue.entries]
-        return ProtocolError(
-            ErrorCode.no_model,
-            f"no model for trajectory {name!r}",
-            f"a name that one of the models is for: {', '.join(models) or 'there are none yet'}",
-            "train one with 'koop-dataset ... && koop-train ...' and pass it with "
-            f"--models '{name.split('/')[0]}/*=FILE'",
-            {"trajectory": name},
-        )
 
 
 def _no_frame_yet(control: Control) -> ProtocolError:

@@ -13,12 +13,16 @@ os.environ.setdefault("ZENOH_RUNTIME", "(rx: (worker_threads: 16))")
 
 import zenoh
 
-from koop_service.serving.config import LOOPBACK, NetworkSettings
+from koop_service.serving.config import NetworkSettings
 
 _LARGEST_MESSAGE = 64 << 20
 """What Zenoh puts together at all [bytes]; the protocol's own limit is far lower, and answered."""
 _PATIENCE = 1_000_000
 """How long an answer waits for a caller that does not read before its link is closed [us]."""
+_HELLO = 2000
+"""How long somebody who connects may take to say so [ms]. Zenoh lets a hundred do nothing at once,
+and refuses all others meanwhile; with its own 10 s, a hundred idle sockets close the service."""
+_TLS = "transport/link/tls"
 _COMMANDS = 16
 """Batches of commands that may wait on a link. Commands that find it full are dropped: with Zenoh's
 own 2, one in sixty was, on a busy machine."""
@@ -77,15 +81,16 @@ def open_session(settings: NetworkSettings) -> zenoh.Session:
 
     Raises CannotListenError, UnreachableError, or OSError for anything else that Zenoh objects to.
     """
+    zenoh.try_init_log_from_env()  # says nothing unless RUST_LOG asks for it
     config = zenoh_config(settings)
     try:
         return zenoh.open(config)
     except zenoh.ZError as error:
         reason = str(error).split(" at /")[0]
         if "listener" in reason or "in use" in reason:
-            raise CannotListenError(settings.endpoints or (LOOPBACK,), reason) from error
+            raise CannotListenError(_endpoints(config, "listen"), reason) from error
         if "onnect" in reason:
-            raise UnreachableError(f"no router at {', '.join(settings.connect)} yet") from error
+            raise UnreachableError(_unreachable(config)) from error
         where = ", ".join((*settings.endpoints, *settings.connect)) or settings.zenoh_config
         raise OSError(f"cannot open the Zenoh session on {where}: {reason}") from error
 
@@ -104,7 +109,10 @@ def _base(path: Path | None) -> zenoh.Config:
         config = zenoh.Config() if path is None else zenoh.Config.from_file(str(path))
     except zenoh.ZError as error:
         raise OSError(f"{path} is not a Zenoh configuration: {error}") from error
-    if path is None:
+    if path is not None:
+        _find_certificates(config, path)
+    else:
+        _set(config, "transport/unicast/accept_timeout", _HELLO)
         _set(config, "transport/link/rx/max_message_size", _LARGEST_MESSAGE)
         _set(
             config, "transport/link/tx/queue/congestion_control/block/wait_before_close", _PATIENCE
@@ -112,6 +120,36 @@ def _base(path: Path | None) -> zenoh.Config:
         _set(config, "transport/link/tx/queue/size/real_time", _COMMANDS)
     _set(config, "adminspace/enabled", True)
     return config
+
+
+def _find_certificates(config: zenoh.Config, path: Path) -> None:
+    """Certificates lie beside the file that names them; Zenoh would look in the working directory.
+
+    Raises OSError where one is missing.
+    """
+    for name, value in json.loads(config.get_json(_TLS)).items():
+        if not isinstance(value, str):
+            continue
+        file = path.absolute().parent / value
+        if not file.is_file():
+            raise OSError(f"{path} names {value} as its {name}, but there is no file {file}")
+        _set(config, f"{_TLS}/{name}", str(file))
+
+
+def _endpoints(config: zenoh.Config, kind: str) -> tuple[str, ...]:
+    """Where a configuration listens or connects, without the parameters of its endpoints."""
+    found = json.loads(config.get_json(f"{kind}/endpoints"))
+    if isinstance(found, dict):  # a file may give them by mode
+        found = found.get(json.loads(config.get_json("mode")), [])
+    return tuple(str(endpoint).partition("#")[0] for endpoint in found)
+
+
+def _unreachable(config: zenoh.Config) -> str:
+    """Why there is no session yet, as far as Zenoh tells."""
+    where = ", ".join(_endpoints(config, "connect")) or "the routers of the Zenoh configuration"
+    if "tls/" not in where:
+        return f"no router at {where} yet"
+    return f"no router at {where} yet, or one refuses the certificates (RUST_LOG=zenoh=warn tells)"
 
 
 def _set(config: zenoh.Config, path: str, value: Any) -> None:

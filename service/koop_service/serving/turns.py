@@ -34,7 +34,7 @@ class Arrival:
     """One measurement's bytes as they came, or what was wrong with them before they were read.
 
     `share` is whose room it takes; `taken` marks what a short cut took out of turn. `at` is when it
-    came, by time.monotonic [s].
+    came, by time.monotonic [s]. `replayed`: it came out of a source's log, not from the queue.
     """
 
     key: str
@@ -43,6 +43,7 @@ class Arrival:
     fault: ProtocolError | None = None
     taken: bool = False
     at: float = 0.0
+    replayed: bool = False
     share: str = _STRANGERS
 
 
@@ -95,6 +96,12 @@ class Turns:
     def __len__(self) -> int:
         """Measurements waiting."""
         return self._messages
+
+    @property
+    def load(self) -> float:
+        """How full the room is: from 1 on sources are held back."""
+        messages, size = self._room
+        return max(self._messages / messages, self._size / size)
 
     def is_full(self, lane: str, size: int) -> bool:
         """Whether a measurement of `size` bytes must wait outside. One that is alone never must."""

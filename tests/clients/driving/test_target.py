@@ -89,10 +89,9 @@ def test_a_broken_or_coloured_png_is_refused(tmp_path: Path) -> None:
 
 
 def test_the_question_shows_the_target() -> None:
-    options = DriveOptions(
-        target="0.3", horizon=7, q=2.0, r=0.1, qf="3", torque_bound=5.0, force=True
-    )
-    query = lqr_query(options, "gain", read_target(options, SYSTEM))
+    options = DriveOptions(target="0.3", horizon=7, q=2.0, r=0.1, qf="3", force=True)
+    shown = read_target(options, SYSTEM).picture
+    query = lqr_query(options, "gain", shown, 5.0)
     assert query.target_image is not None
     assert np.array_equal(query.target_image, picture(0.3))
     assert (query.horizon, query.q, query.r, query.qf) == (7, 2.0, 0.1, 3.0)
@@ -100,6 +99,6 @@ def test_the_question_shows_the_target() -> None:
     assert query.u_min is not None
     assert query.u_max is not None
     assert (query.u_min.tolist(), query.u_max.tolist()) == ([-5.0], [5.0])
-    assert lqr_query(DriveOptions(), "qp", read_target(options, SYSTEM)).qf is None
+    assert lqr_query(DriveOptions(), "qp", shown, 5.0).qf is None
     terminal = DriveOptions(qf="riccati")
-    assert lqr_query(terminal, "qp", read_target(options, SYSTEM)).qf == "riccati"
+    assert lqr_query(terminal, "qp", shown, 5.0).qf == "riccati"

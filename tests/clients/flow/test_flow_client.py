@@ -15,7 +15,16 @@ from koop_clients.flow.forcing import schedule
 from koop_clients.flow.plant import starting
 from koop_clients.sim_client.arguments import parse_arguments
 from koop_clients.sim_client.options import FlowOptions
-from koop_protocol import Control, ErrorReply, Frame, decode, encode
+from koop_protocol import (
+    Control,
+    ErrorReply,
+    Frame,
+    PredictQuery,
+    PredictReply,
+    decode,
+    decode_as,
+    encode,
+)
 
 
 @pytest.fixture(autouse=True)
@@ -95,10 +104,49 @@ def test_rotations_are_streamed_between_the_frames(
                 state = small.frame(state, control.u[0])
 
 
+def test_predictions_are_asked_for_and_judged(
+    small: CylinderFlow, hub: zenoh.Session, seen: list[Frame | Control], command: Callable
+) -> None:
+    """A service that simulates the flow itself is never wrong: but for half precision."""
+    asked: list[PredictQuery] = []
+
+    def foresee(query: zenoh.Query) -> None:
+        with query:
+            asked.append(decode_as(PredictQuery, bytes(query.payload or b"")))
+            last = of_kind(seen, Frame)[-1]
+            state = starting(small, (0, 0))
+            turns = [message.u[0] for message in of_kind(seen, Control)]
+            for turn in turns:
+                state = small.frame(state, turn)
+            frames = []
+            for (turn,) in asked[-1].controls:
+                state = small.frame(state, turn)
+                frames.append(small.picture(state))
+            reply = PredictReply(last.trajectory, last.epoch, last.seq, frames=np.stack(frames))
+            query.reply(query.key_expr, encode(reply))
+
+    declared = hub.declare_queryable("koop/predict/**", foresee)
+    options = ("--system", "cylinder", "--actuated", "--duration", "6")
+    result = json.loads(command(*options, "--json")[0])
+    assert [query.horizon for query in asked] == [10] * 4
+    assert result["early"]["count"] == 3
+    assert result["early"]["horizons"] == [1, 2, 5, 10]
+    assert result["early"]["error"] == [0.0] * 4
+    assert min(result["early"]["repeat"]) > 0.01
+    assert result["predict"]["count"] == 4
+    assert "RMSE per value after" in command(*options)[0]
+    declared.undeclare()
+
+
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        (("cylinder", "--drive", "mpc"), "no drive knows the cylinder"),
+        (("cylinder", "--drive", "pd"), "none, excite, mpc, lqr or feedback for the cylinder"),
+        (("cylinder", "--target", "hang"), "the cylinder's wake is brought to the steady flow"),
+        (("cylinder", "--record", "a.npz"), "--record of the cylinder keeps a drive; add --drive"),
+        (("cylinder", "--drive", "mpc", "--rotation-bound", "2"), "above 0, up to 1.27"),
+        (("pendulum", "--rotation-bound", "1"), "only the cylinder stands in a flow"),
+        (("pendulum", "--drive", "feedback"), "--drive is feedback; expected another one"),
         (("cylinder", "--mass", "2"), "--mass is 2.0; expected nothing"),
         (("cylinder", "--strip", "a.png"), "--strip is a.png; expected nothing"),
         (("pendulum", "--reynolds", "60"), "only the cylinder stands in a flow"),
@@ -114,7 +162,7 @@ def test_what_makes_no_sense_is_refused(
     assert words in " ".join(lines)
 
 
-def test_the_first_run_tells_that_the_wake_develops(
+def test_the_first_run_tells_that_the_flow_develops(
     seen: list[Frame | Control],
     command: Callable,
     monkeypatch: pytest.MonkeyPatch,
@@ -124,4 +172,4 @@ def test_the_first_run_tells_that_the_wake_develops(
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.mktemp("empty")))
     for expected in (True, False):
         _, err = command("--system", "cylinder", "--duration", "0.3")
-        assert ("the wake develops" in err) == expected
+        assert ("the flow develops" in err) == expected

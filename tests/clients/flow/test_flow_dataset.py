@@ -48,7 +48,8 @@ def test_the_file_is_a_koop_recording(small: CylinderFlow, tmp_path: Path) -> No
     assert attributes[recording.RENDERER_ATTRIBUTE] == "koop-lbm-1"
     assert attributes[recording.ACTUATED_ATTRIBUTE]
     assert attributes[recording.DT_ATTRIBUTE] == 0.15
-    assert list(attributes["channels"]) == ["rho", "rho u", "rho v", "E"]
+    assert list(attributes[recording.CHANNELS_ATTRIBUTE]) == ["rho", "rho u", "rho v", "E"]
+    assert list(attributes[recording.WINDOW_ATTRIBUTE]) == [-2, 10, -3, 3]
     entry = json.loads(arrays[recording.PARAMETERS_DATASET][1])
     assert entry["regime"] == "schedule"
     assert entry["reynolds"] == 15

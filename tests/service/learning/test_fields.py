@@ -103,6 +103,13 @@ def test_sequences_out_of_long_trajectories_are_held_out(share: float, sequences
     assert set(kept) <= set(numbers.ravel())
 
 
+def test_trajectories_without_controls_are_cut_alike() -> None:
+    recording = Recording(np.zeros((2, 160, 1, 2, 2)), np.zeros((2, 159, 0)), "waves", "", 0.15, 0)
+    seen, unseen = recording.split_in_time(0.5, 40)
+    assert seen.controls.shape == (4, 39, 0)
+    assert unseen.controls.shape == (4, 39, 0)
+
+
 def test_a_trajectory_too_short_to_hold_some_of_it_out(recording: Recording) -> None:
     with pytest.raises(ValueError, match=r"160 frames, of which 159 are held out; .*longer ones"):
         recording.split_in_time(0.1, 159)

@@ -26,6 +26,7 @@ from koop_service.encoding.catalogue import Catalogue, ModelEntry
 from koop_service.encoding.weights import ModelCard, save_weights
 from koop_service.serving import queries
 from koop_service.serving.config import EstimatorChoices
+from koop_service.serving.durability.recovery import Recovery
 from koop_service.serving.intake import Arrival
 from koop_service.serving.measurements import Measurements
 from koop_service.serving.metrics import Metrics
@@ -58,6 +59,10 @@ def frame(seq: int, image: np.ndarray) -> Frame:
     return Frame("wake/0", "0" * 16, seq, 1, image, "solver")
 
 
+def no_log(question: object) -> None:
+    raise AssertionError(f"{question}: this source has no log")
+
+
 def streamed(registry: Registry, dtype: type = np.float16, count: int = 40) -> Trajectory:
     """Frames and controls as they come off the network."""
     messages: list[Frame | Control] = []
@@ -71,7 +76,8 @@ def streamed(registry: Registry, dtype: type = np.float16, count: int = 40) -> T
     ]
     metrics = Metrics()
     refusals = Refusals(metrics)
-    Measurements(registry, refusals, metrics, Limits()).process(arrivals)
+    recovery = Recovery(registry, no_log, metrics, Limits(), 1)
+    Measurements(registry, refusals, recovery, metrics, Limits(), lambda _: None).process(arrivals)
     assert refusals.last("wake/0") is None
     found = registry.find("wake/0")
     assert found is not None
@@ -82,7 +88,9 @@ def streamed(registry: Registry, dtype: type = np.float16, count: int = 40) -> T
 def test_fields_are_answered_in_the_streams_own_type(registry: Registry, dtype: type) -> None:
     trajectory = streamed(registry, dtype)
     assert trajectory.ready
-    reply = queries.predict(trajectory, PredictQuery(5, returns=frozenset({"frames", "codes"})))
+    reply = queries.predict(
+        trajectory, PredictQuery(5, returns=frozenset({"frames", "codes"})), Limits()
+    )
     found = decode(encode(reply))
     assert isinstance(found, PredictReply)
     assert found.frames is not None

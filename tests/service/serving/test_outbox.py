@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 
-from koop_protocol import KeyKind
+from koop_protocol import ErrorCode, ErrorReply, KeyKind, decode_as
 from koop_service.serving.outbox import Outbox
 
 
@@ -72,7 +72,7 @@ def test_a_caller_that_is_gone_harms_nobody() -> None:
     assert len(unsent) == 1
 
 
-def test_a_caller_that_does_not_read_costs_bounded_memory() -> None:
+def test_a_caller_that_does_not_read_costs_bounded_memory_and_is_told_once() -> None:
     box, closed, unsent = outbox(max_bytes=250)
     gate = threading.Event()
     slow = Caller(gate)
@@ -82,5 +82,19 @@ def test_a_caller_that_does_not_read_costs_bounded_memory() -> None:
     assert 6 <= len(unsent) <= 8  # one is being sent, two fit
     gate.set()
     box.stop(10)
-    assert len(slow.got) == 10 - len(unsent) + 1
+    errors = [answer[1] for answer in slow.got if isinstance(answer, tuple)]
+    assert [decode_as(ErrorReply, error).code for error in errors] == [ErrorCode.overloaded]
+    assert len(slow.got) == 10 - len(unsent) + len(errors) + 1
     assert closed == [slow]
+
+
+def test_who_asks_again_is_told_again() -> None:
+    box, closed, unsent = outbox(max_bytes=10)
+    callers = [Caller(), Caller()]
+    for caller in (*callers, callers[0]):
+        box.reply(caller, "k", bytes(11))
+        box.close(caller)
+    box.stop(10)
+    assert [len(caller.got) for caller in callers] == [4, 2]
+    assert closed == [*callers, callers[0]]
+    assert len(unsent) == 3

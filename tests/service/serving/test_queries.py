@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from koop_protocol import Frame, PredictQuery
+from koop_protocol import ErrorCode, Frame, Limits, PredictQuery, ProtocolError, encode
 from koop_service.encoding.autoencoder import initialised
 from koop_service.encoding.catalogue import Catalogue, ModelEntry
 from koop_service.encoding.weights import EstimatorDefaults, ModelCard, save_weights
@@ -41,8 +41,24 @@ def watched(folder: Path, scale: tuple[float, ...]) -> Trajectory:
 @pytest.mark.parametrize("parts", ["std", "codes,std"])
 def test_standard_deviations_are_scaled_as_the_card_says(tmp_path: Path, parts: str) -> None:
     query = PredictQuery(25, returns=frozenset(parts.split(",")))
-    raw = queries.predict(watched(tmp_path, ()), query).std
-    scaled = queries.predict(watched(tmp_path, SCALE), query).std
+    raw = queries.predict(watched(tmp_path, ()), query, Limits()).std
+    scaled = queries.predict(watched(tmp_path, SCALE), query, Limits()).std
     assert raw is not None
     np.testing.assert_allclose(scaled, calibrated(raw, SCALE))
     assert not np.allclose(scaled, raw)
+
+
+def test_frames_that_no_reply_can_hold_are_not_drawn(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    trajectory, limits = watched(tmp_path, ()), Limits(max_message_bytes=50_000)
+    parts = frozenset({"codes", "frames", "std"})
+    with pytest.raises(ProtocolError) as caught:
+        queries.predict(trajectory, PredictQuery(1000, returns=parts), limits)
+    assert caught.value.code == ErrorCode.too_large
+    most = int(caught.value.details["frames"])
+    encode(queries.predict(trajectory, PredictQuery(most, returns=parts), limits), limits)
+    assert most * 64 * 64 > 0.8 * limits.max_message_bytes
+    monkeypatch.setattr(Trajectory, "show", None)
+    with pytest.raises(ProtocolError, match=f"at most {most} in one reply"):
+        queries.predict(trajectory, PredictQuery(most + 1, returns=parts), limits)

@@ -1,4 +1,4 @@
-"""Obeying the service: at each 5 ms the torque of the newest command that has come by then."""
+"""Obeying the service: at each step the control of the newest command that has come by then."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _REMEMBERED = 64  # frames
 class Commanded:
     """A driver that registers a task with the service, and obeys its commands.
 
-    Where a command is late the older plan goes on; where that has run out there is no torque.
+    Where a command is late the older plan goes on; where that has run out the control is 0.
 
     Attributes:
         account: how the commands came.
@@ -96,15 +96,26 @@ class Commanded:
         self._count(controller, number)
         self._check_alive(controller)
 
+    def await_command(self, number: int) -> None:
+        """Wait for frame `number`'s command, until the interval after the frame is over."""
+        put, controller = self._put.get(number), self._controller
+        if number in self._awaited and put is not None and controller is not None:
+            left = put + self._timing.wall_interval - time.monotonic()
+            controller.wait(number, max(0.0, left))
+
     def speaks(self, number: int) -> bool:
         """Whether there is a plan for that interval as it begins."""
         return self._row(number, 0) is not None
 
-    def torque(self, number: int, step: int, state: State) -> float:
-        """The torque [N m] of the newest plan that was there by then; 0 without one."""
-        del state
+    def control(self, number: int, step: int) -> float:
+        """What the newest plan that was there by then says; 0 without one."""
         row = self._row(number, step)
         return 0.0 if row is None else float(row[0])
+
+    def torque(self, number: int, step: int, state: State) -> float:
+        """The same as a torque law [N m]."""
+        del state
+        return self.control(number, step)
 
     def close(self) -> None:
         """Cancel the task."""

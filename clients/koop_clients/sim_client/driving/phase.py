@@ -112,13 +112,16 @@ class Driving:
         return bool(angles) and abs(float(angle_between(angles[-1], self._target.angle))) <= NEAR
 
 
-def lqr_query(options: DriveOptions, method: str, target: Target) -> LqrQuery:
-    """What the service is asked to do: bring the pole to the picture of the target."""
-    bound = np.array([options.torque_bound])
+def lqr_query(
+    options: DriveOptions, method: str, target_image: np.ndarray, largest: float
+) -> LqrQuery:
+    """What the service is asked to do: bring the plant to the target with controls up to
+    `largest`."""
+    bound = np.array([largest])
     terminal = None if options.qf == "none" else options.qf
     return LqrQuery(
         options.horizon,
-        target_image=target.picture,
+        target_image=target_image,
         q=options.q,
         r=options.r,
         qf=terminal if terminal in (None, "riccati") else float(terminal),
@@ -155,7 +158,7 @@ def _driver_maker(
         return lambda stream: Knowing(
             state_lqr_law(stream.plant.system, target.angle, options.r, bound)
         )
-    query = lqr_query(options, arguments.method, target)
+    query = lqr_query(options, arguments.method, target.picture, bound)
     timing = Timing(arguments.speed, arguments.trouble.delay)
 
     def planned(stream: Stream) -> Driver:

@@ -13,7 +13,9 @@ from koop_service.encoding.autoencoder import initialised
 from koop_service.encoding.catalogue import Catalogue, ModelEntry
 from koop_service.encoding.weights import EstimatorDefaults, ModelCard, save_weights
 from koop_service.serving.config import EstimatorChoices
+from koop_service.serving.durability.sealing import seal
 from koop_service.serving.metrics import Metrics
+from koop_service.serving.records import snapshot_of
 from koop_service.serving.refusals import Refusals
 from koop_service.serving.registry import Registry
 from koop_service.serving.trajectories import Trajectory
@@ -64,9 +66,9 @@ class Plant:
         assert found is not None
         return found
 
-    def trajectory_records(self) -> Mapping[str, Mapping[str, object]]:
+    def trajectory_records(self) -> Mapping[str, bytes]:
         """What the service would store now."""
-        return self._registry.snapshot()
+        return {t.name: seal(snapshot_of(t)) for t in self._registry}
 
     def show(self) -> None:
         """The next frame is folded."""

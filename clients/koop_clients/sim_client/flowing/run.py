@@ -1,14 +1,13 @@
 """The live loop of the cylinder: put a frame, say how the cylinder turns, and let the flow go on.
 
-A frame takes tens of milliseconds of one core; it is computed when it is due.
+A frame takes tens of milliseconds of one core; it is computed when the next one is due. What was
+commanded meanwhile is known by then, with the time at which it came.
 """
 
 from __future__ import annotations
 
-import json
 import time
 from collections import deque
-from dataclasses import asdict, dataclass
 
 import zenoh
 
@@ -16,81 +15,21 @@ from koop_clients.flow.cylinder import RENDERER, CylinderFlow
 from koop_clients.flow.forcing import law
 from koop_clients.flow.plant import FlowPlant, starting
 from koop_clients.flow.settings import FlowSettings
+from koop_clients.queries import KoopClient
 from koop_clients.sim_client.arguments import Arguments
 from koop_clients.sim_client.display import Display, usual
+from koop_clients.sim_client.flowing.forecasts import FlowForecasts
+from koop_clients.sim_client.flowing.phase import FlowDriving
+from koop_clients.sim_client.flowing.record import FlowRecord
+from koop_clients.sim_client.flowing.result import FlowResult, driven
+from koop_clients.sim_client.flowing.stream import FlowStream
 from koop_clients.sim_client.pacing import Pace, Stop
-from koop_clients.sim_client.report import Latency, latency
+from koop_clients.sim_client.report import latency
 from koop_clients.sources import FrameSource
 
 _HEADING = f"{'time':>8} {'frames':>7} {'rotation':>13} {'v behind it':>13}   a frame takes"
-_SPINNING_UP = f"{'':8} the wake develops, which is kept for the next time"
+_SPINNING_UP = f"{'':8} the flow develops, which is kept for the next time"
 _KEPT = 10_000  # of the newest frames, the time each took
-
-
-@dataclass(frozen=True)
-class FlowResult:
-    """What was streamed.
-
-    Attributes:
-        system: its name.
-        trajectories: flows streamed at once.
-        frames: frames put, over all flows.
-        simulated: time simulated [s], 0.15 s a frame.
-        elapsed: time on the wall [s].
-        frame: what a frame took to simulate [s].
-        swing: largest |v| behind the cylinder in the last 20 frames of the first flow [U].
-        completed: False where it was stopped before its time.
-    """
-
-    system: str
-    trajectories: int
-    frames: int
-    simulated: float
-    elapsed: float
-    frame: Latency | None
-    swing: float
-    completed: bool
-
-    @property
-    def frames_per_s(self) -> float:
-        """Frames put for each second on the wall."""
-        return self.frames / self.elapsed if self.elapsed else 0.0
-
-    def to_json(self) -> str:
-        """One line; seconds and U."""
-        return json.dumps({**asdict(self), "frames_per_s": self.frames_per_s})
-
-    def to_text(self) -> str:
-        """For a reader."""
-        flows = f" of {self.trajectories} flows" if self.trajectories > 1 else ""
-        text = (
-            f"streamed {self.frames} frames{flows} in {self.elapsed:.1f} s "
-            f"({self.frames_per_s:.1f} frames/s), {self.simulated:.1f} s simulated\n"
-            f"behind the cylinder the flow swings by {self.swing:.3f} U"
-        )
-        if self.frame is None:
-            return text
-        p50, p99 = 1000 * self.frame.p50, 1000 * self.frame.p99
-        return text + f"\na frame took {p50:.1f} ms to simulate (p50), {p99:.1f} ms (p99)"
-
-
-@dataclass(eq=False)
-class FlowStream:
-    """One flow and its source."""
-
-    plant: FlowPlant
-    source: FrameSource
-    rotation: float = 0.0
-
-    def show(self) -> None:
-        """Put the present frame."""
-        self.source.put_frame(self.plant.draw())
-
-    def advance(self) -> None:
-        """Go to the next frame; the rotation that leads to it is put."""
-        self.rotation = self.plant.advance()
-        if self.source.control_size:
-            self.source.put_control([self.rotation])
 
 
 class FlowRun:
@@ -102,33 +41,49 @@ class FlowRun:
         self._arguments = arguments
         self._display = display
         self._flow = CylinderFlow(settings)
+        self._forecasts = FlowForecasts(arguments, KoopClient(session))
+        self._driving = FlowDriving(arguments, self._flow, session, self._spun_up)
         self._streams = [self._stream(session, i) for i in range(arguments.trajectories)]
         self._took: deque[float] = deque(maxlen=_KEPT)
         self._swings: deque[float] = deque(maxlen=20)
         self._frames, self._elapsed, self._completed = 0, 0.0, False
 
     def run(self, stop: Stop) -> None:
-        """Stream until the duration is over or `stop` says so. Raises DivergedError."""
+        """Stream until the duration is over or `stop` says so.
+
+        Raises DivergedError, and KoopError where the service cannot serve this stream.
+        """
         started = time.monotonic()
         try:
             self._rounds(stop)
         finally:
             self._elapsed = time.monotonic() - started
+            self._driving.close()
             self._display.close()
         self._completed = not stop
 
     def result(self) -> FlowResult:
-        """What was streamed so far."""
+        """What was found so far."""
+        early, late = self._forecasts.errors()
         return FlowResult(
             system=self._arguments.system,
+            drive=self._arguments.drive,
             trajectories=len(self._streams),
             frames=self._frames,
             simulated=self._streams[0].plant.number * self._arguments.interval,
             elapsed=self._elapsed,
             frame=latency(self._took),
+            early=early,
+            late=late,
+            predict=latency(self._forecasts.asker.latencies),
             swing=max(self._swings, default=0.0),
+            drives=[driven(drive) for drive in self._driving.drives],
             completed=self._completed,
         )
+
+    def record(self) -> FlowRecord:
+        """What pictures of the first flow's drive are drawn from."""
+        return self._driving.record()
 
     def _stream(self, session: zenoh.Session, index: int) -> FlowStream:
         arguments = self._arguments
@@ -139,7 +94,8 @@ class FlowRun:
             starting(self._flow, seed, self._spun_up),
         )
         size = int(arguments.is_actuated)
-        return FlowStream(plant, FrameSource(session, arguments.trajectory(index), size, RENDERER))
+        source = FrameSource(session, arguments.trajectory(index), size, RENDERER)
+        return FlowStream(plant, source, self._driving.add(plant, source))
 
     def _spun_up(self, done: int, total: int) -> None:
         if self._display.due(_SPINNING_UP):
@@ -149,11 +105,13 @@ class FlowRun:
         """Each flow in turn, spread over a frame interval, frame by frame."""
         arguments, count, number = self._arguments, len(self._streams), 0
         pace = Pace(arguments.speed, stop)
-        while number < arguments.frames and not stop:
-            for index, stream in enumerate(self._streams):
+        going = list(enumerate(self._streams))
+        while number < arguments.frames and going and not stop:
+            for index, stream in going:
                 pace.wait((number + index / count) * arguments.interval)
                 self._turn(stream, number)
             self._tell(number)
+            going = [(index, stream) for index, stream in going if not stream.is_over]
             number += 1
 
     def _turn(self, stream: FlowStream, number: int) -> None:
@@ -162,8 +120,10 @@ class FlowRun:
             started = time.perf_counter()
             stream.advance()
             self._took.append(time.perf_counter() - started)
-        stream.show()
+        picture = stream.show()
         self._frames += 1
+        if stream is self._streams[0]:
+            self._forecasts.shown(stream, picture)
 
     def _tell(self, number: int) -> None:
         first = self._streams[0]
@@ -172,6 +132,7 @@ class FlowRun:
         if self._display.due(_HEADING):
             time_shown = number * self._arguments.interval
             taken = "" if not self._took else f"{1000 * usual(self._took):.0f} ms"
+            taken = self._driving.standing or self._forecasts.asker.standing or taken
             self._display.row(
                 _HEADING,
                 f"{time_shown:6.1f} s {self._frames:7d} {first.rotation:+9.3f} U/D "

@@ -1,18 +1,11 @@
-"""The real koop-serve as a process of its own, and what benchmarks put to it."""
+"""What benchmarks put to a koop-serve: weights, pictures, frames packed beforehand, questions."""
 
 from __future__ import annotations
 
-import re
-import subprocess
-import sys
-import urllib.request
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from dataclasses import dataclass
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
-import psutil
 import zenoh
 
 from koop_protocol import ErrorReply, Frame, decode_as, encode, frame_key
@@ -26,67 +19,6 @@ TREND_SAMPLES = 20
 """Fewest samples of which a trend is told."""
 
 
-@dataclass
-class Service:
-    """A running koop-serve. Without metrics, `metrics_port` is 0."""
-
-    process: subprocess.Popen[str]
-    endpoint: str
-    metrics_port: int = 0
-
-    def resident(self) -> int:
-        """Resident memory [bytes]."""
-        return psutil.Process(self.process.pid).memory_info().rss
-
-    def metric(self, name: str) -> float:
-        """A metric's value, summed over its labels."""
-        return sum(self.metrics(name).values())
-
-    def metrics(self, name: str) -> dict[str, float]:
-        """A metric's values by their labels."""
-        url = f"http://127.0.0.1:{self.metrics_port}/metrics"
-        text = urllib.request.urlopen(url, timeout=10).read().decode()
-        found = re.findall(rf"^{name}(?:{{([^}}]*)}})? (\S+)$", text, re.MULTILINE)
-        return {labels: float(value) for labels, value in found}
-
-
-@contextmanager
-def serving(folder: Path, *options: object, metrics: bool = True) -> Iterator[Service]:
-    """koop-serve on any free port, its state in `folder`, until the context ends."""
-    command = [
-        *(sys.executable, "-m", "koop_service.cli", "--listen", "tcp/127.0.0.1:0"),
-        *("--state-folder", str(folder / "state"), "--log-level", "error"),
-        *(("--metrics-port", "0") if metrics else ()),
-        *map(str, options),
-    ]
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
-    try:
-        yield _started(process, metrics)
-    finally:
-        stop(process)
-
-
-def stop(process: subprocess.Popen[str]) -> None:
-    """End it as a user would; where that takes very long, by force, and say so."""
-    process.terminate()
-    try:
-        process.wait(60)
-    finally:
-        process.kill()
-        process.wait()
-
-
-def _started(process: subprocess.Popen[str], metrics: bool) -> Service:
-    endpoint = port = None
-    assert process.stdout is not None
-    for line in process.stdout:
-        endpoint = endpoint or re.search(r"ready on (\S+)", line)
-        port = port or re.search(r"metrics: port (\d+)", line)
-        if endpoint and (port or not metrics):
-            return Service(process, endpoint[1], int(port[1]) if port else 0)
-    raise RuntimeError("koop-serve did not start")
-
-
 def write_weights(folder: Path) -> Path:
     """Weights of the paper's size; what they have learned does not change how fast they are."""
     from koop_service.encoding.autoencoder import initialised
@@ -95,6 +27,11 @@ def write_weights(folder: Path) -> Path:
     path = folder / "benchmark.safetensors"
     save_weights(path, initialised(8, seed=0), ModelCard("benchmark", RENDERER, 0.05))
     return path
+
+
+def arguments(weights: Path) -> tuple[str, ...]:
+    """Of a koop-serve with these weights that tells of errors alone."""
+    return ("--models", f"benchmark/*={weights}", "--log-level", "error")
 
 
 def pictures(count: int) -> np.ndarray:

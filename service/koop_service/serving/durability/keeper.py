@@ -1,0 +1,153 @@
+"""Writes snapshots out of a thread of its own, and tells sources what they need not keep.
+
+A slow disk holds nobody up: while one batch is written, no further one is asked for. Where the
+store is out of order the service goes on, and says that nothing is durable.
+"""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from koop_protocol import Durable, durable_key, encode
+from koop_service.serving.durability.sealing import seal
+from koop_service.serving.durability.store import Claim, FencedError, SnapshotStore, StoreError
+from koop_service.serving.logs import Brake
+from koop_service.serving.metrics import Metrics
+
+log = logging.getLogger("koop.snapshots")
+
+
+@dataclass(frozen=True, slots=True)
+class Snapshot:
+    """A trajectory's record, and what its source may forget once that is stored (None: nobody)."""
+
+    record: Mapping[str, Any]
+    durable: Durable | None
+
+
+class Keeper:
+    """Stores batches of snapshots by trajectory, one at a time.
+
+    `put` sends a payload on a key. All public methods but `start` may be called from any thread.
+    """
+
+    def __init__(
+        self,
+        store: SnapshotStore,
+        claim: Claim,
+        put: Callable[[str, bytes], None],
+        metrics: Metrics,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self._store = store
+        self._claim = claim
+        self._put = put
+        self._metrics = metrics
+        self._clock = clock
+        self._brake = Brake()
+        self._batch: dict[str, Snapshot] | None = None
+        self._failed: set[str] = set()
+        self._is_durable, self._is_fenced = True, False
+        self._work = threading.Condition()
+        self._stopping = False
+        self._thread = threading.Thread(target=self._run, name="koop-keeper", daemon=True)
+
+    def start(self) -> None:
+        """Begin."""
+        self._thread.start()
+
+    def stop(self) -> None:
+        """Store what was handed over, and end."""
+        with self._work:
+            self._stopping = True
+            self._work.notify_all()
+        self._thread.join()
+
+    @property
+    def is_durable(self) -> bool:
+        """Whether the last batch could be stored."""
+        return self._is_durable
+
+    @property
+    def is_idle(self) -> bool:
+        """Whether a batch would be taken at once."""
+        return self._batch is None
+
+    def hand_over(self, batch: dict[str, Snapshot]) -> None:
+        """Store a batch, after the one before it; nobody may change it any more."""
+        with self._work:
+            self._work.wait_for(lambda: self._batch is None)
+            self._batch = batch
+            self._work.notify_all()
+
+    def wait(self) -> None:
+        """Until what was handed over is stored, or has failed."""
+        with self._work:
+            self._work.wait_for(lambda: self._batch is None)
+
+    def take_failed(self) -> set[str]:
+        """Trajectories whose snapshots could not be stored since the last call."""
+        with self._work:
+            failed, self._failed = self._failed, set()
+            return failed
+
+    def _run(self) -> None:
+        while True:
+            with self._work:
+                self._work.wait_for(lambda: self._batch is not None or self._stopping)
+                batch = self._batch
+            if batch is None:
+                return
+            started = self._clock()
+            stored = self._store_all(batch)
+            with self._work:
+                self._batch = None
+                if not stored:
+                    self._failed |= batch.keys()
+                self._work.notify_all()
+            if stored:
+                self._metrics.storing.observe(self._clock() - started)
+                self._acknowledge(batch)
+
+    def _store_all(self, batch: Mapping[str, Snapshot]) -> bool:
+        """Whether it is on the disk."""
+        if self._is_fenced:
+            return False
+        try:
+            sealed = {name: seal(dict(snapshot.record)) for name, snapshot in batch.items()}
+            self._store.save(self._claim, sealed)
+        except Exception as error:
+            self._complain(error)
+            return False
+        if not self._is_durable:
+            log.warning("states are stored again")
+        self._is_durable = True
+        self._metrics.snapshots.inc(len(batch))
+        return True
+
+    def _complain(self, error: Exception) -> None:
+        self._is_durable, self._is_fenced = False, isinstance(error, FencedError)
+        self._metrics.unstored.inc()
+        if self._is_fenced:
+            log.error("nothing is durable any more: %s", error)
+        elif self._brake.admit(type(error).__name__) is None:
+            return
+        elif isinstance(error, StoreError):
+            log.error("nothing is durable at present: %s; the service goes on", error)
+        else:
+            log.exception("nothing is durable at present; the service goes on")
+
+    def _acknowledge(self, batch: Mapping[str, Snapshot]) -> None:
+        for name, snapshot in batch.items():
+            if snapshot.durable is None:
+                continue
+            try:
+                self._put(durable_key(name), encode(snapshot.durable))
+            except Exception:
+                if self._brake.admit("put") is not None:
+                    log.exception("a source could not be told what is durable")

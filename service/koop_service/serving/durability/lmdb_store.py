@@ -1,0 +1,222 @@
+"""The store on this machine: one LMDB file, kept open, one transaction a batch.
+
+A transaction is on the disk when it returns, and a kill at any moment leaves the one before or the
+one after. Several services may share the file: claims keep them apart.
+"""
+
+from __future__ import annotations
+
+import logging
+import os
+import threading
+import time
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from itertools import islice
+from pathlib import Path
+from typing import Any, cast
+
+import lmdb
+import msgpack
+
+from koop_protocol import shard_of
+from koop_service.serving.durability.inspection import (
+    FORMAT_KEY,
+    OWNERS,
+    RECORDS,
+    why_unfit,
+)
+from koop_service.serving.durability.store import Claim, FencedError, StoreError
+
+log = logging.getLogger("koop.snapshots")
+
+_FILE = "estimators.lmdb"
+_FORMAT = b"koop-state-1"
+_FIRST_SIZE = 64 << 20
+"""Size of the map to begin with [bytes]; it doubles when it is full. The file is not larger than
+what is in it."""
+
+
+class LmdbStore:
+    """Records in `folder`, which is made where it is missing.
+
+    Raises StoreError where the folder or the file cannot be used. A file that is damaged, or of
+    another version, is renamed, with a line in the log, and a new one takes its place.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self._path = folder / _FILE
+        self._environment: lmdb.Environment | None = None
+        self._records: Any = None
+        # Held where nobody may be reading: while the map grows, and while the file is opened anew.
+        self._reading = threading.RLock()
+        _prepare(folder)
+        self._set_aside_if_unfit()
+        with self._opened():
+            pass
+
+    def claim(self, owner: str, shards: Collection[str]) -> Claim:
+        """See SnapshotStore."""
+
+        def write(environment: lmdb.Environment) -> Claim:
+            owners = environment.open_db(OWNERS)
+            with environment.begin(write=True, db=owners) as transaction:
+                former = [_claim_in(transaction, shard).epoch for shard in shards]
+                claim = Claim(owner, 1 + max(former, default=0), frozenset(shards))
+                entry = cast(bytes, msgpack.packb([claim.owner, claim.epoch]))
+                for shard in claim.shards:
+                    transaction.put(shard.encode(), entry)
+            return claim
+
+        return self._write(write)
+
+    def load(self, shards: Collection[str], most: int | None = None) -> dict[str, bytes]:
+        """See SnapshotStore."""
+        with self._opened() as environment:
+            records = environment.open_db(RECORDS)
+            with environment.begin(db=records) as transaction:
+                return dict(islice(_records_in(transaction, shards), most))
+
+    def find(self, name: str) -> bytes | None:
+        """See SnapshotStore."""
+        with self._reading:  # and nothing is closed here: another thread may be writing
+            try:
+                environment = self._present()
+                with environment.begin(db=self._records) as transaction:
+                    found = transaction.get(_key(name))
+            except lmdb.Error as error:
+                raise StoreError(f"the state in {self._path} cannot be read: {error}") from error
+        return None if found is None else bytes(found)
+
+    def save(self, claim: Claim, records: Mapping[str, bytes]) -> None:
+        """See SnapshotStore."""
+
+        def put(transaction: lmdb.Transaction) -> None:
+            for name, record in records.items():
+                transaction.put(_key(name), record)
+
+        self._change(claim, records, put)
+
+    def delete(self, claim: Claim, names: Collection[str]) -> None:
+        """See SnapshotStore."""
+
+        def delete(transaction: lmdb.Transaction) -> None:
+            for name in names:
+                transaction.delete(_key(name))
+
+        self._change(claim, names, delete)
+
+    def close(self) -> None:
+        """See SnapshotStore."""
+        with self._reading:
+            environment, self._environment = self._environment, None
+            if environment is not None:
+                environment.close()
+
+    def _change(
+        self, claim: Claim, names: Iterable[str], change: Callable[[lmdb.Transaction], None]
+    ) -> None:
+        shards = claim.check(names)
+
+        def write(environment: lmdb.Environment) -> None:
+            owners, records = environment.open_db(OWNERS), environment.open_db(RECORDS)
+            with environment.begin(write=True, db=records) as transaction:
+                _check_claim(transaction, owners, claim, shards)
+                change(transaction)
+
+        self._write(write)
+
+    def _write(self, write: Callable[[lmdb.Environment], Any]) -> Any:
+        """What `write` returns; again with a larger map as long as that is full."""
+        with self._opened() as environment:
+            while True:
+                try:
+                    return write(environment)
+                except lmdb.MapFullError:
+                    with self._reading:
+                        environment.set_mapsize(2 * environment.info()["map_size"])
+                except lmdb.MapResizedError:  # by another process
+                    with self._reading:
+                        environment.set_mapsize(0)
+
+    @contextmanager
+    def _opened(self) -> Iterator[lmdb.Environment]:
+        """The environment. After an error of LMDB's it is opened anew: some leave it unusable."""
+        try:
+            yield self._present()
+        except lmdb.Error as error:
+            self.close()
+            raise StoreError(f"the state in {self._path} cannot be used: {error}") from error
+
+    def _present(self) -> lmdb.Environment:
+        with self._reading:
+            if self._environment is None:
+                self._environment = _open(self._path)
+                # Kept, since to ask for it again is a write, and waits for other writers.
+                self._records = self._environment.open_db(RECORDS)
+            return self._environment
+
+    def _set_aside_if_unfit(self) -> None:
+        if not self._path.exists():
+            return
+        reason = why_unfit(self._path, _FORMAT)
+        if reason:
+            aside = self._path.with_name(f"{_FILE}.{time.time_ns()}.unfit")
+            os.replace(self._path, aside)
+            log.warning(
+                "the state in %s is left out: %s; it is kept as %s", self._path, reason, aside.name
+            )
+
+
+def _prepare(folder: Path) -> None:
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        if not os.access(folder, os.W_OK):
+            raise PermissionError("it cannot be written")
+    except OSError as error:
+        raise StoreError(
+            f"the state folder {folder} cannot be used ({error}); choose another --state-folder"
+        ) from error
+
+
+def _open(path: Path) -> lmdb.Environment:
+    environment = lmdb.open(str(path), subdir=False, map_size=_FIRST_SIZE, max_dbs=2)
+    environment.reader_check()  # readers that were killed would keep old pages from being used
+    for name in (RECORDS, OWNERS):
+        environment.open_db(name)
+    with environment.begin(write=True) as transaction:
+        transaction.put(FORMAT_KEY, _FORMAT)
+    return environment
+
+
+def _key(name: str) -> bytes:
+    """Records of one shard stand together."""
+    return f"{shard_of(name)}/{name}".encode()
+
+
+def _records_in(
+    transaction: lmdb.Transaction, shards: Collection[str]
+) -> Iterator[tuple[str, bytes]]:
+    for shard in shards:
+        prefix, cursor = f"{shard}/".encode(), transaction.cursor()
+        found = cursor.set_range(prefix)
+        while found and bytes(cursor.key()).startswith(prefix):
+            yield bytes(cursor.key())[len(prefix) :].decode(), bytes(cursor.value())
+            found = cursor.next()
+
+
+def _claim_in(transaction: lmdb.Transaction, shard: str, database: Any = None) -> Claim:
+    """Who has the shard."""
+    entry = transaction.get(shard.encode(), db=database)
+    owner, epoch = ("nobody", 0) if entry is None else msgpack.unpackb(entry)
+    return Claim(owner, epoch, frozenset({shard}))
+
+
+def _check_claim(
+    transaction: lmdb.Transaction, owners: Any, claim: Claim, shards: Iterable[str]
+) -> None:
+    present = [_claim_in(transaction, shard, owners) for shard in shards]
+    newer = [other for other in present if other.epoch != claim.epoch]
+    if newer:
+        lost = frozenset().union(*(other.shards for other in newer))
+        raise FencedError(claim, lost, newer[0])

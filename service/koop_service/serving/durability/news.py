@@ -1,0 +1,36 @@
+"""What the pipeline hears of sources' logs, and what it asks of them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from koop_protocol import ReplayQuery
+
+
+@dataclass(frozen=True, slots=True)
+class LogPresence:
+    """A trajectory's log can be asked from now on (`here`), or no longer."""
+
+    trajectory: str
+    here: bool
+
+
+@dataclass(frozen=True, slots=True)
+class LogQuestion:
+    """A question for a trajectory's log; `number` tells it from all others."""
+
+    number: int
+    trajectory: str
+    query: ReplayQuery
+
+
+@dataclass(frozen=True, slots=True)
+class LogAnswer:
+    """What came back: the reply's bytes, or None, and why there is none."""
+
+    question: LogQuestion
+    payload: bytes | None
+    problem: str = ""
+
+
+LogNews = LogPresence | LogAnswer

@@ -1,0 +1,319 @@
+"""All trajectories whose sources keep logs: who catches up, what is asked, what waits meanwhile.
+
+Owned by the pipeline's thread. It decides with `CatchUp`, one for each trajectory; what it wants
+asked it hands to `ask`, which never waits, and what comes back is given to it by `attend`.
+"""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections import deque
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field
+from itertools import count
+
+from koop_protocol import (
+    Control,
+    Frame,
+    Limits,
+    ProtocolError,
+    ReplayReply,
+    decode_as,
+    replay_key,
+)
+from koop_service.serving.durability.catchup import CatchUp, Verdict
+from koop_service.serving.durability.holding import Holding
+from koop_service.serving.durability.news import LogAnswer, LogNews, LogPresence, LogQuestion
+from koop_service.serving.intake import Arrival
+from koop_service.serving.logs import Brake
+from koop_service.serving.metrics import Metrics
+from koop_service.serving.registry import Registry
+from koop_service.serving.trajectories import Trajectory
+
+log = logging.getLogger("koop.replays")
+
+_HELD_BYTES = 32 << 20
+_FIRST_PAUSE, _LONGEST_PAUSE = 0.05, 2.0
+"""Seconds before a question that got no answer is asked again; doubled each time."""
+_PATIENCE = 30.0
+"""Seconds that live messages wait for a log that does not answer; then it is done without."""
+_GONE = 5.0
+"""Seconds without a live message and without a token, after which a source is taken for gone."""
+
+
+@dataclass(eq=False, slots=True)
+class _Source:
+    """A source with a log.
+
+    here: its token is there. mute: its log does not answer, and is done without. asked: the number
+    of the question under way, until its answer is folded. again: when to ask next [s].
+    waiting_since, held_at: when the first and the newest live message were held since the last
+    answer [s].
+    """
+
+    name: str
+    catch_up: CatchUp = field(default_factory=CatchUp)
+    here: bool = False
+    mute: bool = False
+    asked: int | None = None
+    again: float = 0.0
+    pause: float = _FIRST_PAUSE
+    waiting_since: float | None = None
+    held_at: float = 0.0
+    dropped: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class Replay:
+    """Messages to be folded in order, and then finished: a log's answer to question `number`.
+
+    Without a reply: live messages for which no log is waited any more.
+    """
+
+    source: _Source
+    arrivals: list[Arrival]
+    number: int | None = None
+    reply: ReplayReply | None = None
+
+
+class Recovery:
+    """Decides about every message of a source with a log, live or replayed."""
+
+    def __init__(
+        self,
+        registry: Registry,
+        ask: Callable[[LogQuestion], None],
+        metrics: Metrics,
+        limits: Limits,
+        most: int,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self._registry = registry
+        self._ask = ask
+        self._metrics = metrics
+        self._limits = limits
+        self._most = most
+        self._clock = clock
+        self._sources: dict[str, _Source] = {}
+        self._behind: dict[str, _Source] = {}
+        self._replays: deque[Replay] = deque()
+        self._holding = Holding(_HELD_BYTES)
+        self._numbers = count(1)
+        self._brake = Brake()
+
+    @property
+    def behind(self) -> int:
+        """Trajectories that are catching up."""
+        return len(self._behind)
+
+    def is_behind(self, name: str) -> bool:
+        """Whether the trajectory is catching up."""
+        return name in self._behind
+
+    def is_logged(self, name: str) -> bool:
+        """Whether the trajectory's source keeps a log."""
+        source = self._sources.get(name)
+        return source is not None and not source.mute
+
+    @property
+    def is_busy(self) -> bool:
+        """Whether there is something to take."""
+        return bool(self._replays)
+
+    # News
+
+    def attend(self, news: Iterable[LogNews]) -> None:
+        """Sources come and go, logs answer; then ask what is due."""
+        for item in news:
+            if isinstance(item, LogAnswer):
+                self._hear(item)
+            elif item.here:
+                self._welcome(item.trajectory)
+            else:
+                self._miss(item)
+        if self._behind:
+            self._ask_all(self._clock())
+
+    def pause(self) -> float:
+        """Time until something is due by itself [s]."""
+        now = self._clock()
+        due = (s.again for s in self._behind.values() if s.asked is None)
+        return max(0.0, min(due, default=now + _LONGEST_PAUSE) - now)
+
+    def _welcome(self, name: str) -> None:
+        source = self._source(name)
+        if source is not None:
+            source.here, source.mute, source.asked = True, False, None
+            source.again, source.pause = 0.0, _FIRST_PAUSE
+            source.catch_up.start()
+            self._behind[name] = source
+
+    def _miss(self, presence: LogPresence) -> None:
+        source = self._sources.get(presence.trajectory)
+        if source is not None:
+            source.here = False
+            self._registry.tell_gone(presence.trajectory)
+
+    def _source(self, name: str) -> _Source | None:
+        """The source of that name, new where there is room for it."""
+        source = self._sources.get(name)
+        if source is None and len(self._sources) >= self._most and not self._forget_one():
+            if self._brake.admit("room") is not None:
+                log.warning("the log of %r is passed over: there are too many", name[:200])
+            return None
+        return source or self._sources.setdefault(name, _Source(name))
+
+    def _forget_one(self) -> bool:
+        """Forget a source that is gone, the one known longest; whether there was any."""
+        gone = (s.name for s in self._sources.values() if not s.here and not self.is_behind(s.name))
+        name = next(gone, None)
+        return self._sources.pop(name, None) is not None if name is not None else False
+
+    # Questions
+
+    def _ask_all(self, now: float) -> None:
+        for source in list(self._behind.values()):
+            if source.asked is not None or now < source.again:
+                continue
+            if not source.here and now - source.held_at > _GONE:
+                # Whatever was not folded, its log will have when it comes again.
+                self._metrics.deferred.inc(len(self._holding.release(source.name)))
+                source.waiting_since = None
+                del self._behind[source.name]
+            elif source.waiting_since is not None and now - source.waiting_since > _PATIENCE:
+                self._do_without(source)
+            else:
+                self._ask_one(source)
+
+    def _ask_one(self, source: _Source) -> None:
+        try:
+            trajectory = self._registry.find(source.name)
+        except ProtocolError as error:  # no room in memory, or its state cannot be read
+            self._fail(source, str(error))
+            return
+        # Whatever may come alone fits into an answer, and what may not would be refused anyway.
+        query = source.catch_up.question(trajectory, self._limits.max_message_bytes)
+        source.asked = next(self._numbers)
+        self._metrics.replays.inc()
+        self._ask(LogQuestion(source.asked, source.name, query))
+
+    def _hear(self, answer: LogAnswer) -> None:
+        source = self._sources.get(answer.question.trajectory)
+        if source is None or source.asked != answer.question.number:
+            return  # an answer to a question that is of no interest any more
+        problem, reply = answer.problem, None
+        if answer.payload is not None:
+            try:
+                reply = self._read(source, answer.payload)
+            except ProtocolError as error:
+                problem = str(error)
+        if reply is None:
+            self._fail(source, problem)
+            return
+        source.pause, source.waiting_since = _FIRST_PAUSE, None
+        self._replays.append(Replay(source, self._arrivals(reply), answer.question.number, reply))
+
+    def _read(self, source: _Source, payload: bytes) -> ReplayReply:
+        reply = decode_as(ReplayReply, payload, self._limits.for_replays())
+        if reply.trajectory != source.name:
+            raise ProtocolError("malformed", f"it answered for {reply.trajectory!r}")
+        stands_still = not reply.end and reply.position <= (source.catch_up.position or 0)
+        if stands_still:
+            raise ProtocolError("malformed", "its answer leads no further")
+        return reply
+
+    def _arrivals(self, reply: ReplayReply) -> list[Arrival]:
+        key, now = replay_key(reply.trajectory), self._clock()
+        return [Arrival(key, data, 0, at=now, replayed=True) for data in reply.messages]
+
+    def _fail(self, source: _Source, problem: str) -> None:
+        source.asked, source.again = None, self._clock() + source.pause
+        source.pause = min(2 * source.pause, _LONGEST_PAUSE)
+        log.debug("the log of %s: %s", source.name, problem)
+
+    def _do_without(self, source: _Source) -> None:
+        """Its live messages are taken as those of a source without a log."""
+        log.warning(
+            "the log of %s has not answered for %g s; what it may have is done without until its "
+            "source starts anew",
+            source.name,
+            _PATIENCE,
+        )
+        source.mute, source.waiting_since = True, None
+        del self._behind[source.name]
+        self._replays.append(Replay(source, self._holding.release(source.name)))
+
+    # Replays
+
+    def take(self, count: int) -> list[Replay]:
+        """Answers to fold now, with about `count` messages."""
+        taken: list[Replay] = []
+        size = 0
+        while self._replays and (not taken or size + len(self._replays[0].arrivals) <= count):
+            taken.append(self._replays.popleft())
+            size += len(taken[-1].arrivals)
+        return taken
+
+    def finish(self, replay: Replay) -> list[Arrival]:
+        """After its messages are folded; the live ones that come next."""
+        source, reply = replay.source, replay.reply
+        if reply is None or source.asked != replay.number:
+            return []
+        self._tell_dropped(source, reply)
+        source.asked, source.again = None, 0.0
+        source.catch_up.advance(reply)
+        if not reply.end:
+            return []
+        self._behind.pop(source.name, None)
+        return self._holding.release(source.name)
+
+    def _tell_dropped(self, source: _Source, reply: ReplayReply) -> None:
+        if reply.dropped > source.dropped:
+            log.warning(
+                "the log of %s was full: %d messages of it are lost",
+                source.name,
+                reply.dropped - source.dropped,
+            )
+        source.dropped = reply.dropped
+
+    # Messages
+
+    def has_come(self, message: Frame | Control) -> bool:
+        """Whether a replayed message is folded already."""
+        trajectory = self._registry.find(message.trajectory)
+        return trajectory is not None and trajectory.knows(message)
+
+    def admits(self, arrival: Arrival, message: Frame | Control) -> bool:
+        """Whether to go on with a live message; if not, it is held, or known."""
+        is_logged = isinstance(message, Frame) and message.logged
+        source = self._sources.get(message.trajectory)
+        if source is None and is_logged:
+            source = self._source(message.trajectory)
+        if (
+            source is None
+            or source.mute
+            or (isinstance(message, Frame) and not is_logged and not source.here)
+        ):
+            return True
+        trajectory = self._registry.find(message.trajectory)
+        return self._obey(source, source.catch_up.at_the_door(message, trajectory), arrival)
+
+    def folds(self, arrival: Arrival, message: Frame | Control, trajectory: Trajectory) -> bool:
+        """The same, when all before it in its batch is folded."""
+        source = self._sources.get(message.trajectory)
+        if source is None or source.mute:
+            return True
+        return self._obey(source, source.catch_up.at_the_fold(message, trajectory), arrival)
+
+    def _obey(self, source: _Source, verdict: Verdict, arrival: Arrival) -> bool:
+        if verdict is Verdict.hold:
+            self._hold(source, arrival)
+        return verdict is Verdict.fold
+
+    def _hold(self, source: _Source, arrival: Arrival) -> None:
+        self._metrics.deferred.inc(self._holding.add(source.name, arrival))
+        source.held_at = self._clock()
+        if source.waiting_since is None:
+            source.waiting_since = source.held_at
+        self._behind[source.name] = source

@@ -1,0 +1,80 @@
+"""What a trajectory is opened with: its model, its encoder, a bank of estimators."""
+
+from __future__ import annotations
+
+from koop_protocol import ErrorCode, ProtocolError
+from koop_service.encoding.catalogue import Catalogue, ModelEntry
+from koop_service.encoding.image_codec import ImageCodec
+from koop_service.estimation.estimator import Bank
+from koop_service.estimation.settings import EstimatorSettings
+from koop_service.serving.config import EstimatorChoices
+
+
+def settings_for(entry: ModelEntry, chosen: EstimatorChoices, p: int) -> EstimatorSettings:
+    """What the user chose, else what the model's card recommends, for p controls."""
+    card = entry.card.estimator
+    return EstimatorSettings(
+        code_size=entry.card.code_size,
+        history=card.history if chosen.history is None else chosen.history,
+        control_size=p,
+        affine=card.affine if chosen.affine is None else chosen.affine,
+        rho=card.rho if chosen.rho is None else chosen.rho,
+        forgetting=card.forgetting if chosen.forgetting is None else chosen.forgetting,
+        window=chosen.window,
+    )
+
+
+class Equipment:
+    """Models and banks, each made when it is first needed."""
+
+    def __init__(self, catalogue: Catalogue, choices: EstimatorChoices, device: str) -> None:
+        self._catalogue = catalogue
+        self._choices = choices
+        self._device = device
+        self._codecs: dict[str, ImageCodec] = {}
+        self._banks: dict[tuple[str, int], Bank] = {}
+
+    def match(self, name: str) -> ModelEntry | None:
+        """The model of a trajectory, or None."""
+        return self._catalogue.match(name)
+
+    def settings(self, entry: ModelEntry, control_size: int) -> EstimatorSettings:
+        """The estimator of a trajectory of this model."""
+        return settings_for(entry, self._choices, control_size)
+
+    def entry_for(self, name: str) -> ModelEntry:
+        """The model of a trajectory. Raises ProtocolError (no_model) where there is none."""
+        entry = self._catalogue.match(name)
+        if entry is None:
+            raise self.no_model(name)
+        return entry
+
+    def codec(self, entry: ModelEntry) -> ImageCodec:
+        """The model's encoder. Raises ProtocolError (no_model) where it cannot be loaded."""
+        if entry.name not in self._codecs:
+            try:
+                self._codecs[entry.name] = entry.load(self._device)
+            except (ValueError, RuntimeError) as error:
+                raise ProtocolError(
+                    ErrorCode.no_model, f"the model {entry.name!r} cannot be loaded: {error}"
+                ) from error
+        return self._codecs[entry.name]
+
+    def bank(self, entry: ModelEntry, settings: EstimatorSettings) -> Bank:
+        """The estimators of all trajectories with this model and so many controls."""
+        key = (entry.name, settings.control_size)
+        if key not in self._banks:
+            self._banks[key] = Bank(settings)
+        return self._banks[key]
+
+    def no_model(self, name: str) -> ProtocolError:
+        """What to tell whoever streams or asks for a trajectory without a model."""
+        models = [f"{e.name} ({' '.join(e.patterns)})" for e in self._catalogue.entries]
+        return ProtocolError(
+            ErrorCode.no_model,
+            f"no model for trajectory {name!r}",
+            f"a name that one of the models is for: {', '.join(models) or 'there are none yet'}",
+            "train one with 'koop-dataset ... && koop-train ...' and pass it with "
+            f"--models '{name.split('/')[0]}/*=FILE'",
+            {"trajectory": name},
+        )

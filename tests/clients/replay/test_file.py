@@ -1,0 +1,259 @@
+"""The log on disk: what was appended is there, in order, whoever was killed; and it stays small."""
+
+from __future__ import annotations
+
+import logging
+import os
+import signal
+import sqlite3
+import subprocess
+import sys
+from contextlib import closing
+from dataclasses import replace
+from pathlib import Path
+
+import hypothesis.strategies as st
+import pytest
+from hypothesis import given, settings
+
+from koop_clients.replay.file import CONTROL, FRAME, LogFile
+from koop_protocol import MAX_BATCH, Durable, ReplayQuery
+
+A, B, C = "00000000000000aa", "00000000000000bb", "00000000000000cc"
+LARGE = 1 << 30
+
+
+@pytest.fixture
+def file(tmp_path: Path):
+    with closing(LogFile(tmp_path / "log", LARGE)) as opened:
+        yield opened
+
+
+def fill(file: LogFile, name: str, epoch: str, count: int, size: int = 10) -> list[bytes]:
+    """Frames and controls 0 ... count-1, each with bytes of its own."""
+    messages = []
+    for seq in range(count):
+        for kind in (FRAME, CONTROL):
+            data = f"{name} {epoch} {seq} {kind}".encode().ljust(size)
+            file.append(name, epoch, seq, kind, data)
+            messages.append(data)
+    return messages
+
+
+def read_all(file: LogFile, name: str, query: ReplayQuery | None = None) -> list[bytes]:
+    """Batch by batch, as the service does."""
+    query = query or ReplayQuery()
+    reply = file.read(name, query)
+    messages = list(reply.messages)
+    while not reply.end:
+        before = reply.position
+        reply = file.read(name, replace(query, after=reply.position))
+        assert reply.position > before
+        messages += reply.messages
+    return messages
+
+
+def test_what_was_put_comes_back_in_order_and_by_trajectory(file: LogFile) -> None:
+    one, other = fill(file, "a", A, 100), fill(file, "b", A, 3)
+    one += fill(file, "a", B, 2)
+    assert read_all(file, "a") == one
+    assert read_all(file, "b") == other
+    reply = file.read("a", ReplayQuery())
+    assert (len(reply.messages), reply.end) == (MAX_BATCH, False)
+    assert (reply.first_epoch, reply.first_seq, reply.last_epoch, reply.last_seq) == (A, 0, B, 1)
+    assert file.trajectories == ["a", "b"]
+    assert file.bytes == sum(map(len, one + other))
+
+
+@pytest.mark.parametrize(
+    ("query", "first"),
+    [
+        (ReplayQuery(A, 7), 14),
+        (ReplayQuery(B, 0), 20),
+        (ReplayQuery(A, 10), 20),  # ahead of what the log has of this epoch: the next one
+        (ReplayQuery(C, 5), 0),  # unknown: all there is
+        (ReplayQuery(), 0),
+    ],
+)
+def test_a_replay_begins_where_it_was_asked_for(
+    file: LogFile, query: ReplayQuery, first: int
+) -> None:
+    messages = fill(file, "a", A, 10) + fill(file, "a", B, 5)
+    assert read_all(file, "a", query) == messages[first:]
+
+
+def test_a_trajectory_without_messages_has_an_empty_log(file: LogFile) -> None:
+    reply = file.read("nobody", ReplayQuery())
+    assert (reply.messages, reply.end, reply.last_epoch) == ((), True, None)
+
+
+def test_a_batch_is_bounded_in_bytes_and_what_is_larger_is_passed_over(file: LogFile) -> None:
+    for seq, size in enumerate((40, 40, 500, 40)):
+        file.append("a", A, seq, FRAME, bytes(size))
+    reply = file.read("a", ReplayQuery(max_bytes=100))
+    assert ([len(m) for m in reply.messages], reply.end) == ([40, 40], False)
+    reply = file.read("a", ReplayQuery(after=reply.position, max_bytes=100))
+    assert ([len(m) for m in reply.messages], reply.end) == ([40], True)
+
+
+def test_what_is_durable_is_forgotten_with_all_epochs_before(file: LogFile) -> None:
+    fill(file, "a", A, 200)
+    fill(file, "b", A, 2)
+    messages = fill(file, "a", B, 200)
+    assert file.forget(Durable("a", B, 150)) == 400 + 300
+    assert read_all(file, "a") == messages[300:]
+    assert file.forget(Durable("a", A, 199)) == 0, "an epoch that is not there any more"
+    assert file.forget(Durable("a", C, 3)) == 0, "somebody else's epoch"
+    assert len(read_all(file, "b")) == 4
+    assert file.bytes == sum(map(len, messages[300:] + read_all(file, "b")))
+
+
+@given(st.data())
+@settings(max_examples=40, deadline=None)
+def test_it_is_a_list_that_forgets_its_head(
+    tmp_path_factory: pytest.TempPathFactory, data: st.DataObject
+) -> None:
+    """Any appends, acknowledgements, restarts and questions, against a plain list."""
+    path = tmp_path_factory.mktemp("log") / "log"
+    file = LogFile(path, LARGE)
+    kept: list[tuple[str, int, bytes]] = []
+    epochs, seq, position = [A], 0, None
+    for number in range(data.draw(st.integers(1, 30))):
+        what = data.draw(st.sampled_from(["append"] * 5 + ["epoch", "forget", "reopen", "read"]))
+        if what == "append":
+            message = f"{number}".encode()
+            file.append("a", epochs[-1], seq, FRAME, message)
+            kept.append((epochs[-1], seq, message))
+            seq += 1
+        elif what == "epoch":
+            epochs, seq = [*epochs, f"{number:016x}"], 0
+        elif what == "forget" and kept:
+            epoch, low = data.draw(st.sampled_from(kept))[:2]
+            file.forget(Durable("a", epoch, low))
+            kept = kept[next(i for i, k in enumerate(kept) if k[:2] == (epoch, low)) :]
+        elif what == "reopen":
+            file.close()
+            file = LogFile(path, LARGE)
+        elif kept:
+            epoch, low, _ = data.draw(st.sampled_from(kept))
+            start = next(i for i, k in enumerate(kept) if k[:2] == (epoch, low))
+            assert read_all(file, "a", ReplayQuery(epoch, low)) == [k[2] for k in kept[start:]]
+        reply = file.read("a", ReplayQuery())
+        assert [k[2] for k in kept] == list(reply.messages)
+        assert position is None or reply.position >= position, "a position was used twice"
+        position = reply.position if kept else position
+    file.close()
+
+
+def test_the_oldest_are_dropped_when_it_is_full_and_that_is_counted(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    with closing(LogFile(tmp_path / "log", 10_000)) as file:
+        messages = fill(file, "a", A, 5, 100)
+        with caplog.at_level(logging.WARNING):
+            messages += fill(file, "b", A, 100, 100)
+        assert file.bytes <= 10_000
+        kept = read_all(file, "a") + read_all(file, "b")
+        assert kept == messages[-len(kept) :]
+        assert len(kept) > 80
+        counted = [file.read(name, ReplayQuery()).dropped for name in ("a", "b")]
+        assert (counted[0], sum(counted)) == (10, len(messages) - len(kept))
+    assert "is full" in caplog.text
+    with closing(LogFile(tmp_path / "log", 10_000)) as file:
+        assert file.read("a", ReplayQuery()).dropped == 10
+
+
+def test_a_message_larger_than_the_log_is_kept_alone(tmp_path: Path) -> None:
+    with closing(LogFile(tmp_path / "log", 1000)) as file:
+        fill(file, "a", A, 3, 100)
+        file.append("a", A, 3, FRAME, bytes(5000))
+        assert read_all(file, "a") == [bytes(5000)]
+
+
+def test_the_tail_is_the_newest_frame(file: LogFile) -> None:
+    assert file.tail("a") is None
+    file.append("a", A, 0, FRAME, b"0")
+    tail = file.tail("a")
+    assert tail is not None
+    assert (tail.epoch, tail.seq, tail.data, tail.controlled) == (A, 0, b"0", False)
+    file.append("a", A, 0, CONTROL, b"u")
+    tail = file.tail("a")
+    assert tail is not None
+    assert (tail.data, tail.controlled) == (b"0", True)
+    file.forget(Durable("a", A, 0))
+    assert file.tail("a") == tail
+
+
+def test_two_processes_never_share_it(tmp_path: Path) -> None:
+    with (
+        closing(LogFile(tmp_path / "log", LARGE)),
+        pytest.raises(ValueError, match="another process is using the log"),
+    ):
+        LogFile(tmp_path / "log", LARGE)
+    LogFile(tmp_path / "log", LARGE).close()
+
+
+def test_a_file_that_is_no_log_any_more_is_set_aside(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    (tmp_path / "log").write_bytes(b"rubbish" * 1000)
+    with caplog.at_level(logging.WARNING), closing(LogFile(tmp_path / "log", LARGE)) as file:
+        fill(file, "a", A, 1)
+        assert len(read_all(file, "a")) == 2
+    assert "is damaged" in caplog.text
+    (aside,) = tmp_path.glob("log.*.unfit")
+    assert aside.read_bytes() == b"rubbish" * 1000
+
+
+def test_another_version_is_left_alone(tmp_path: Path) -> None:
+    with closing(sqlite3.connect(tmp_path / "log")) as connection:
+        connection.execute("PRAGMA user_version = 9")
+    with pytest.raises(ValueError, match="is of version 9; this koop knows version 1"):
+        LogFile(tmp_path / "log", LARGE)
+
+
+def test_a_place_that_cannot_be_written_is_explained(tmp_path: Path) -> None:
+    (tmp_path / "log").mkdir()
+    with pytest.raises(OSError, match=r"the log .* cannot be used"):
+        LogFile(tmp_path / "log", LARGE)
+    with pytest.raises(ValueError, match="max_bytes is 0"):
+        LogFile(tmp_path / "other", 0)
+
+
+def test_tidying_keeps_everything_and_the_write_ahead_log_short(tmp_path: Path) -> None:
+    with closing(LogFile(tmp_path / "log", LARGE)) as file:
+        for seq in range(30):
+            file.append("a", A, seq, FRAME, bytes([seq]) * (2 << 20))
+            if seq % 5 == 4:
+                file.tidy()
+        assert (tmp_path / "log-wal").stat().st_size < 48 << 20
+        messages = read_all(file, "a", ReplayQuery(max_bytes=4 << 20))
+        assert [message[0] for message in messages] == list(range(30))
+
+
+WRITER = """
+import sys
+from pathlib import Path
+from koop_clients.replay.file import FRAME, LogFile
+file = LogFile(Path(sys.argv[1]), 1 << 30)
+for seq in range(10**6):
+    file.append("a", "0" * 16, seq, FRAME, seq.to_bytes(4, "big") * 1000)
+    if seq % 100 == 0:
+        file.tidy()
+        print(seq, flush=True)
+"""
+
+
+def test_what_was_appended_outlives_a_kill_at_any_moment(tmp_path: Path) -> None:
+    places = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
+    command = [sys.executable, "-c", WRITER, str(tmp_path / "log")]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=places) as writer:
+        assert writer.stdout is not None
+        said = [writer.stdout.readline() for _ in range(4)]
+        writer.send_signal(signal.SIGKILL)
+        last = int((said + writer.stdout.readlines())[-1])
+    with closing(LogFile(tmp_path / "log", LARGE)) as file:
+        found = read_all(file, "a", ReplayQuery(max_bytes=4 << 20))
+    assert [int.from_bytes(m[:4], "big") for m in found] == list(range(len(found)))
+    assert len(found) > last
+    assert all(m == m[:4] * 1000 for m in found)

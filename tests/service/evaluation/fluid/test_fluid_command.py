@@ -1,0 +1,109 @@
+"""`koop-eval fluid` as it is typed, on small waves in the place of simulated flows."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+
+import pytest
+
+from koop_service.evaluation import cli
+from koop_service.evaluation.datasets import kept_at
+from koop_service.evaluation.fluid.cases import HELD_OUT, WAKES, cases
+
+from .waves import write_model, write_set
+
+COUNT, SEED = 3, 1000
+FIGURES = {"figure-14.png", "held-out.png"}
+
+
+@pytest.fixture(scope="module")
+def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("data")
+    for wake in WAKES.values():
+        for case in cases(wake, COUNT, HELD_OUT):
+            write_set(kept_at(case.system, 1, SEED, folder), case, case.reynolds)
+    return folder
+
+
+@pytest.fixture
+def weights(tmp_path: Path) -> Path:
+    folder = tmp_path / "weights"
+    for name in WAKES:
+        write_model(folder / f"{name}.safetensors")
+    write_model(folder / "baselines/cylinder-actuated-learned-B.safetensors", "learned-B")
+    return folder
+
+
+@pytest.fixture
+def evaluate(data: Path, weights: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    """Type the command; the folder of what it wrote."""
+
+    def run(*more: str) -> Path:
+        folders = ["--data", str(data), "--weights", str(weights), "--out", str(tmp_path / "out")]
+        counts = ["--trajectories", str(COUNT), "--seed", str(SEED)]
+        monkeypatch.setattr(sys, "argv", ["koop-eval", "fluid", *folders, *counts, *more])
+        cli.main()
+        return tmp_path / "out"
+
+    return run
+
+
+def test_end_to_end(evaluate, weights: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = evaluate("--json")
+    said = capsys.readouterr()
+    table = json.loads(said.out.splitlines()[-1])
+    assert list(table) == list(WAKES)
+    for splits in table.values():
+        assert list(splits) == ["overlapping", "apart", "reynolds-45", "reynolds-60"]
+        for methods in splits.values():
+            for errors in methods.values():
+                assert list(errors) == ["0.15", "1.5", "7.5", "15", "mean", "visible"]
+                assert all(0 <= x < 10 for x in errors.values())
+    assert "learned-B-full" in table["cylinder-actuated"]["overlapping"]
+    strips = {f"figure-15-{name}.png" for name in WAKES}
+    assert {path.name for path in out.iterdir()} == FIGURES | strips | {"report.md", "table.csv"}
+    page = (out / "report.md").read_text()
+    assert "`koop-eval fluid --trajectories 3 --seed 1000`" in page
+    assert str(weights) not in page
+    assert "cylinder goes without learned-A" in said.err
+    assert "cylinder goes without learned-A" in page
+    assert "cylinder-actuated at Re 60: L1 after the fit offline " in said.err
+
+
+def test_one_wake_at_one_reynolds_number(evaluate, capsys: pytest.CaptureFixture[str]) -> None:
+    out = evaluate("--system", "cylinder", "--held-out", "--json")
+    table = json.loads(capsys.readouterr().out.splitlines()[-1])
+    assert list(table) == ["cylinder"]
+    assert list(table["cylinder"]) == ["overlapping", "apart"]
+    assert not (out / "figure-15-cylinder-actuated.png").exists()
+    assert (
+        "--system cylinder --trajectories 3 --seed 1000 --held-out`"
+        in (out / "report.md").read_text()
+    )
+
+
+def test_a_missing_model_is_said_and_skipped(
+    evaluate, weights: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (weights / "cylinder.safetensors").unlink()
+    page = (evaluate("--held-out", "60") / "report.md").read_text()
+    skipped = "cylinder skipped: there is no cylinder.safetensors"
+    assert skipped in capsys.readouterr().err
+    assert f"- {skipped}" in page
+    assert "Strouhal" not in page  # a turning cylinder's wake has no period of its own
+    (weights / "cylinder-actuated.safetensors").unlink()
+    with pytest.raises(SystemExit, match=r"nothing to evaluate: .* holds no model of the flow"):
+        evaluate()
+
+
+def test_wrong_options(evaluate) -> None:
+    for wrong, words in (
+        (("--system", "sphere"), "unknown system 'sphere'"),
+        (("--trajectories", "0"), "--trajectories is 0; expected 1 or more"),
+        (("--seed", "12"), "test seeds start at 1000"),
+        (("--held-out", "50"), "--held-out 50 is the Reynolds number that was trained on"),
+    ):
+        with pytest.raises(SystemExit, match=words):
+            evaluate(*wrong)
