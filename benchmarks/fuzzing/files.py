@@ -24,6 +24,7 @@ from fuzzing.guard import Target
 
 from koop_protocol import Control, Frame, PredictQuery, ProtocolError
 from koop_protocol import recording as names
+from koop_protocol.limits import DEFAULT_LIMITS
 from koop_service.encoding.autoencoder import initialised
 from koop_service.encoding.catalogue import ModelEntry
 from koop_service.encoding.image_codec import ImageCodec
@@ -97,7 +98,7 @@ def _use(trajectory: Trajectory) -> None:
     for step in range(4):
         for message in (_control(seq + step - 1), _frame(seq + step)):
             _fold(trajectory, replace(message, epoch=trajectory.epoch))
-    for answer in (queries.state, lambda t: queries.predict(t, PredictQuery(3))):
+    for answer in (queries.state, lambda t: queries.predict(t, PredictQuery(3), DEFAULT_LIMITS)):
         with suppress(ProtocolError):  # it may warm up, and it may be unstable
             answer(trajectory)
     sealing.seal(snapshot_of(trajectory))

@@ -34,6 +34,8 @@ from koop_protocol import (
     owner_of,
     parse_key,
     predict_query_from_parameters,
+    source_token,
+    trajectory_of,
 )
 from koop_protocol.arrays import array_from_map, array_to_map
 from koop_protocol.limits import DEFAULT_LIMITS
@@ -83,21 +85,25 @@ def array(data: bytes) -> bool:
 
 _CODES = frozenset(ErrorCode)
 _BUILDERS: dict[str, Callable[[str], str]] = {
-    kind.value: getattr(keys, f"{kind.value}_key") for kind in keys.KeyKind
+    kind.value: getattr(keys, f"{kind.value}_key")
+    for kind in keys.KeyKind
+    if kind is not keys.KeyKind.health  # whose key names no trajectory
 }
 
 
 def key(data: bytes) -> bool:
-    """A key, a trajectory's name and an owner's token, as text."""
+    """A key, a trajectory's name, and the tokens of owners and sources, as text."""
     text = data.decode(errors="surrogateescape")
     name = _allowed(check_trajectory, text)
     assert name is None or all(build(name) for build in _BUILDERS.values())
     owner = _allowed(owner_of, text)
     assert owner is None or client_token(owner) == text
+    source = _allowed(trajectory_of, text)
+    assert source is None or source_token(source) == text
     parsed: KoopKey | None = _allowed(parse_key, text)
     if parsed is not None:
         assert _BUILDERS[parsed.kind](parsed.trajectory) == text, "a key has two spellings"
-    return not (name is owner is parsed is None)
+    return any(part is not None for part in (name, owner, source, parsed))
 
 
 def selector(data: bytes) -> bool:
@@ -190,6 +196,7 @@ def texts() -> list[bytes]:
         *(b"koop/frame/1b/cartpole/0", b"koop/control/26/line3/robot7", b"koop/state/pendulum"),
         *(b"koop/predict/cartpole/0", b"koop/lqr/line3/robot7", b"koop/command/cartpole/0"),
         *(b"koop/replay/20/pendulum", b"koop/@client/0123456789abcdef", b"koop/@client/a_b.c-d"),
+        *(b"koop/@source/1b/cartpole/0", b"koop/durable/26/line3/robot7"),
         *(b"cartpole/0", b"line3/robot7/left.arm"),
     ]
 
