@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 from integration.loopback import Loop, Source, config_for, loop, write_model
-from integration.secured import Secured, deploy, secured
+from integration.secured import FRAMES, OTHER, ROBOT, Secured, deploy, secured, stream
 
 
 @pytest.fixture(scope="session")
@@ -35,3 +35,11 @@ def guarded(tmp_path_factory: pytest.TempPathFactory, model: Path) -> Iterator[S
     folder = tmp_path_factory.mktemp("guarded")
     with secured(deploy(folder / "pki"), folder / "state", model) as running:
         yield running
+
+
+@pytest.fixture(scope="module")
+def streamed(guarded: Secured) -> None:
+    """Two robots have streamed, each with its own certificate."""
+    for certificate, name in (("robot7", ROBOT), ("robot8", OTHER)):
+        with guarded.session(certificate) as session:
+            stream(session, name, FRAMES)

@@ -9,24 +9,30 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
 import pytest
 import zenoh
-from integration.loopback import DEADLINE, RENDERER, Source
+from integration.loopback import DEADLINE, RENDERER, Source, picture
 
 from koop_clients.connection import flush, open_session
 from koop_clients.pki.deployment import Deployment
 from koop_clients.pki.register import read_parties
 from koop_clients.pki.storage import CONFIGURATION
 from koop_clients.queries import NO_REPLY, KoopClient, KoopError
+from koop_protocol import CLIENT_TOKENS, SOURCE_TOKENS, LqrQuery
 from koop_service.cli import Service, running
 from koop_service.serving.config import ModelRule, NetworkSettings, ServiceConfig
 from koop_service.serving.session import open_session as open_hub
 
 DEPLOY = Path(__file__).resolve().parents[2] / "deploy"
+ROBOT, OTHER = "line3/robot7", "line3/robot8"  # as the deployment has them
+FRAMES = 40  # past the warm-up
+QUERY = LqrQuery(10, picture(0, 100), u_min=-np.ones(1), u_max=np.ones(1), force=True)
+
 HOST = "127.0.0.1"  # so that localhost, the same machine, is a wrong name
 NOW = datetime.datetime.now(datetime.UTC)
 
-EVERYTHING = ("**", "koop/@client/*", "koop/@source/**")  # ** leaves out chunks that begin with @
+EVERYTHING = ("**", CLIENT_TOKENS, SOURCE_TOKENS)  # ** leaves out chunks that begin with @
 
 _EPOCHS = (f"{number:016x}" for number in itertools.count(1))
 

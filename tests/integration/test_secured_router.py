@@ -5,21 +5,25 @@ from __future__ import annotations
 from collections.abc import Iterator
 from pathlib import Path
 
-import numpy as np
 import pytest
 import zenoh
-from integration.loopback import DEADLINE, picture, wait_until
-from integration.secured import HOST, Secured, begin, deploy, stream
+from integration.loopback import DEADLINE, wait_until
+from integration.secured import HOST, OTHER, QUERY, ROBOT, Secured, begin, deploy, stream
 
 from koop_clients.connection import flush
 from koop_clients.control import Controller
 from koop_clients.queries import KoopClient
-from koop_protocol import LqrQuery, encode, frame_key, replay_key
+from koop_protocol import (
+    SOURCE_TOKENS,
+    durable_key,
+    encode,
+    frame_key,
+    replay_key,
+    source_token,
+)
 from koop_service.cli import running
 from koop_service.serving.config import ModelRule, NetworkSettings, ServiceConfig
 from koop_service.serving.session import locators, open_session
-
-ROBOT, OTHER = "line3/robot7", "line3/robot8"
 
 
 @pytest.fixture(scope="module")
@@ -40,7 +44,7 @@ def leaf(tmp_path_factory: pytest.TempPathFactory, model: Path) -> Iterator[Secu
 
 def tokens(leaf: Secured) -> list[str]:
     """Of the sources that the service sees."""
-    replies = leaf.hub.liveliness().get("koop/@source/**", timeout=DEADLINE)
+    replies = leaf.hub.liveliness().get(SOURCE_TOKENS, timeout=DEADLINE)
     return [str(reply.ok.key_expr) for reply in replies]
 
 
@@ -53,11 +57,9 @@ def test_it_hears_and_answers(leaf: Secured) -> None:
 
 
 def test_its_commands_reach_the_operator(leaf: Secured) -> None:
-    bound = np.ones(1)
-    query = LqrQuery(10, picture(0, 100), u_min=-bound, u_max=bound, force=True)
     with leaf.session("robot8") as robot, leaf.session("operator") as session:
         source = stream(robot, OTHER, 40)
-        with Controller(session, OTHER, query, timeout=DEADLINE) as controller:
+        with Controller(session, OTHER, QUERY, timeout=DEADLINE) as controller:
             assert controller.begin().controls is not None
             source.put(source.control(39))
             source.put(source.frame(40))
@@ -65,7 +67,7 @@ def test_its_commands_reach_the_operator(leaf: Secured) -> None:
 
 
 def test_it_asks_sources_for_their_past_and_knows_who_is_there(leaf: Secured) -> None:
-    key, token = replay_key(ROBOT), replay_key(ROBOT).replace("replay", "@source")
+    key, token = replay_key(ROBOT), source_token(ROBOT)
     with (
         leaf.session("robot7") as robot,
         robot.declare_queryable(key, lambda query: query.reply(key, b"the past")),
@@ -77,7 +79,7 @@ def test_it_asks_sources_for_their_past_and_knows_who_is_there(leaf: Secured) ->
 
 
 def test_it_tells_sources_what_they_need_not_keep(leaf: Secured) -> None:
-    key, heard = replay_key(ROBOT).replace("replay", "durable"), []
+    key, heard = durable_key(ROBOT), []
     with (
         leaf.session("robot7") as robot,
         robot.declare_subscriber(key, lambda sample: heard.append(sample.payload.to_bytes())),

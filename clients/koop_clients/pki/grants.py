@@ -16,17 +16,19 @@ from koop_protocol import (
     CLIENT_TOKENS,
     COMMANDS,
     CONTROLS,
+    DURABLES,
     FRAMES,
     LQRS,
     PREDICTIONS,
     REPLAYS,
+    SOURCE_TOKENS,
     STATES,
     KeyKind,
 )
 
-DURABLES = "koop/durable/**"
-SOURCE_TOKENS = "koop/@source/**"
+HEALTH = "koop/health"
 WORKER_TOKENS = "koop/@worker/**"
+"""Reserved, as is HEALTH: rules outlive the service that they were written for."""
 
 Flow = Literal["ingress", "egress"]
 
@@ -62,8 +64,8 @@ def grants_of(party: Party) -> list[Grant]:
 
 
 def _publishing(patterns: tuple[str, ...]) -> list[Grant]:
-    measurements = _sharded("frame", patterns) + _sharded("control", patterns)
-    replays, durables = _sharded("replay", patterns), _sharded("durable", patterns)
+    measurements = _sharded(KeyKind.frame, patterns) + _sharded(KeyKind.control, patterns)
+    replays, durables = _sharded(KeyKind.replay, patterns), _sharded(KeyKind.durable, patterns)
     return [
         _sends(("put",), *measurements),
         # It learns that there is a subscriber at all; otherwise its session sends nothing.
@@ -88,20 +90,25 @@ def _operating(patterns: tuple[str, ...]) -> list[Grant]:
 
 
 def _viewing(patterns: tuple[str, ...]) -> list[Grant]:
+    states = _plain(KeyKind.state, patterns)
     return [
         *_asking(_plain(KeyKind.predict, patterns), PREDICTIONS),
-        *_asking(_plain(KeyKind.state, patterns), STATES),
+        *_asking(states, STATES),
+        *_asking((HEALTH,) if patterns else (), HEALTH),
+        _sends(("declare_subscriber",), *states),
+        _gets(("put",), *states),
     ]
 
 
 def _recording(patterns: tuple[str, ...]) -> list[Grant]:
-    measurements = _sharded("frame", patterns) + _sharded("control", patterns)
+    measurements = _sharded(KeyKind.frame, patterns) + _sharded(KeyKind.control, patterns)
     return [_sends(("declare_subscriber",), *measurements), _gets(("put",), *measurements)]
 
 
 def _serving() -> list[Grant]:
     """The service's own part, for a service that is a leaf of a router."""
-    heard, answered, asked = (FRAMES, CONTROLS), (PREDICTIONS, LQRS, STATES), (REPLAYS,)
+    heard, asked = (FRAMES, CONTROLS), (REPLAYS,)
+    answered = (PREDICTIONS, LQRS, STATES, HEALTH)
     told, tokens = (COMMANDS, STATES, DURABLES), (CLIENT_TOKENS, SOURCE_TOKENS)
     return [
         _sends(("declare_subscriber",), *heard),

@@ -36,29 +36,14 @@ class Models(Protocol):
 
 @dataclass(frozen=True)
 class Schedule:
-    """Theta from the first `fit_frames` frames, then anew every `every` frames (None: never).
-
-    Or anew a single time, from the first `once` frames; not both.
-    """
+    """Theta from the first `fit_frames` frames, then anew every `every` frames (None: never)."""
 
     fit_frames: int
     every: int | None = None
-    once: int | None = None
 
-    def __post_init__(self) -> None:
-        if self.once is None:
-            return
-        if self.every is not None or self.once <= self.fit_frames:
-            raise ValueError(
-                f"an update at frame {self.once} after a fit on {self.fit_frames}, and every "
-                f"{self.every}; expected a single one, after the fit"
-            )
-
-    def restarts(self, frames: int) -> Sequence[int]:
+    def restarts(self, frames: int) -> range:
         """The last known frame of each roll-out of a trajectory of `frames` frames."""
-        every = frames if self.once is None else self.once - self.fit_frames
-        starts = range(self.fit_frames - 1, frames - 1, self.every or every)
-        return starts if self.once is None else starts[:2]
+        return range(self.fit_frames - 1, frames - 1, self.every or frames)
 
 
 def forecast(models: Models, schedule: Schedule, codes: Array, controls: Array) -> Array:
@@ -74,9 +59,8 @@ def forecast(models: Models, schedule: Schedule, codes: Array, controls: Array) 
         )
     starts = schedule.restarts(frames)
     predicted = codes.copy()
-    stops = [*starts[1:], frames - 1]
-    thetas = models.thetas(codes, controls, starts)
-    for start, stop, Theta in zip(starts, stops, thetas, strict=True):
+    for start, Theta in zip(starts, models.thetas(codes, controls, starts), strict=True):
+        stop = min(start + starts.step, frames - 1)
         history = codes[:, start - h + 1 : start + 1]
         ahead = roll_out(Theta, history, controls[:, start:stop], models.settings)
         predicted[:, start + 1 : stop + 1] = ahead

@@ -45,7 +45,11 @@ CARD = ModelCard(
 
 @pytest.fixture
 def registry(tmp_path: Path) -> Registry:
-    path = tmp_path / "flow.safetensors"
+    return registry_in(tmp_path)
+
+
+def registry_in(folder: Path) -> Registry:
+    path = folder / "flow.safetensors"
     save_weights(path, initialised(3, 0, SHAPE, SMALL), CARD)
     catalogue = Catalogue([ModelEntry("flow", path, ("*",))])
     return Registry(catalogue, EstimatorChoices(), Refusals(Metrics()), 1)
@@ -98,6 +102,28 @@ def test_fields_are_answered_in_the_streams_own_type(registry: Registry, dtype: 
     assert (found.frames.shape, found.frames.dtype) == ((5, *SHAPE), dtype)
     shown = trajectory.codec.decode(reply.codes, dtype)
     np.testing.assert_array_equal(found.frames, shown)
+
+
+def rms(values: np.ndarray) -> float:
+    return float(np.sqrt(np.mean(np.square(values, dtype=float))))
+
+
+def test_half_precision_of_normalised_fields_is_harmless(tmp_path: Path) -> None:
+    """Codes and predictions move no more than the rounding, a thousandth of what they span."""
+    half, single = (streamed(registry_in(tmp_path), dtype) for dtype in (np.float16, np.float32))
+    fields = np.stack([field(seq, np.float32) for seq in range(40)])
+    rounded = fields.astype(np.float16).astype(np.float32)
+    codes = single.codec.encode(fields)
+    assert 0 < rms(single.codec.encode(rounded) - codes) < 1e-3 * rms(codes - codes.mean(axis=0))
+    query = PredictQuery(20, returns=frozenset({"codes", "frames"}))
+    found, exact = (queries.predict(trajectory, query, Limits()) for trajectory in (half, single))
+    assert found.codes is not None
+    assert exact.codes is not None
+    assert 0 < rms(found.codes - exact.codes) < 1e-3 * rms(codes - codes.mean(axis=0))
+    assert found.frames is not None
+    assert exact.frames is not None
+    assert found.frames.dtype == np.float16
+    assert rms(found.frames.astype(np.float32) - exact.frames) < 1e-3 * rms(exact.frames)
 
 
 @pytest.mark.parametrize(

@@ -15,10 +15,10 @@ from koop_service.encoding.weights import ModelCard
 from koop_service.evaluation.assessment import check_fit
 from koop_service.evaluation.fluid.cases import FIT_FRAMES, Case, apart
 from koop_service.evaluation.fluid.errors import Errors, compare, joined, stacked
-from koop_service.evaluation.fluid.methods import Known, Method, ours, theirs
+from koop_service.evaluation.fluid.methods import Known, ours, theirs
 from koop_service.evaluation.fluid.sequences import Sequences, Units
 from koop_service.evaluation.fluid.trivial import guesses
-from koop_service.evaluation.forecasts import Array, forecast
+from koop_service.evaluation.forecasts import Array
 from koop_service.evaluation.trained import Trained
 
 SHOWN = (1, 10, 25, 50, 75, 100)
@@ -72,7 +72,7 @@ def assess(case: Case, trained: Trained, sequences: Sequences) -> Judged:
     check_fit(trained.codec, sequences.test)
     codec, recording = trained.codec, sequences.test.recording
     measured = _Measured.by(codec, sequences)
-    predictions = {method.name: measured.predict(method) for method in ours(measured.known)}
+    predictions = {method.name: method.predict(measured.known) for method in ours(measured.known)}
     errors = {"reconstruction": measured.errors}
     errors |= {name: measured.judge(codes) for name, codes in predictions.items()}
     errors |= _of_baseline(trained, sequences)
@@ -108,10 +108,6 @@ class _Measured:
         known = Known(settings, sequences.cut(np.concatenate(codes)), controls)
         return cls(codec, sequences, known, joined(errors, 0).on(sequences.cut))
 
-    def predict(self, method: Method) -> Array:
-        """(N, T, n)."""
-        return forecast(method.models, method.schedule, self.known.codes, self.known.controls)
-
     def judge(self, predicted: Array) -> Errors:
         """Errors of predicted codes (N, T, n); in the fit frames they are the measured ones."""
         pictures = (self.codec.decode(codes[FIT_FRAMES:]) for codes in predicted)
@@ -132,7 +128,7 @@ def _of_baseline(trained: Trained, sequences: Sequences) -> dict[str, Errors]:
         return {}
     measured = _Measured.by(trained.baseline.codec, sequences)
     methods = theirs(trained.baseline.learned, measured.known)
-    return {method.name: measured.judge(measured.predict(method)) for method in methods}
+    return {method.name: measured.judge(method.predict(measured.known)) for method in methods}
 
 
 def _of_guesses(sequences: Sequences, own: Errors, periodic: bool) -> dict[str, Errors]:

@@ -119,8 +119,8 @@ def _mark(axes: Axes, time: float, name: str) -> None:
     axes.axvline(time, color=QUIET, lw=0.9, ls=(0, (4, 3)), zorder=1)
     axes.annotate(
         name,
-        (time, 0),
-        (0, 3),
+        (time, 1),
+        (-1, -9),
         xycoords=("data", "axes fraction"),
         textcoords="offset points",
         color=QUIET,

@@ -160,11 +160,11 @@ def _method(results: Results) -> str:
         f"- Sequences of {FIT_FRAMES + AHEAD} frames, which begin every "
         f"{' or '.join(str(s) for s in sorted(strides))} frames of one trajectory. Its seed, that "
         "of the phase at its start and of the schedule, is none of training's.",
-        f"- Offline: one fit to the first {FIT_FRAMES} frames. One update: a second fit, to "
+        f"- Offline: one fit to the first {FIT_FRAMES} frames. One update: another fit, to "
         f"{UPDATE_AT} frames, and a restart there. Both weigh their frames alike, with the rho "
-        f"whose fit to the first 60% of those {FIT_FRAMES} frames best predicts the others. Full "
-        "updates: a fit and a restart at each frame, so one frame ahead, with the model card's "
-        "rho and forgetting. In the fit frames every method shows the reconstruction.",
+        "whose fit to the first 60% of them best predicts the others. Full updates: a fit and a "
+        "restart at each frame, so one frame ahead, with the model card's rho and forgetting. In "
+        "the fit frames every method shows the reconstruction.",
         "- A frame's code is its whole state (history 1). Where it has more numbers than the fit "
         "has frames, the proximal fit takes the smallest of all Theta that explain them.",
         "- Learned B: the paper's [6], one constant B learned with an autoencoder of its own, "

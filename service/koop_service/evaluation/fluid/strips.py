@@ -22,6 +22,7 @@ _SPAN = (COLOURS[1] - COLOURS[0]) / MAGNIFIED / 2
 # What the cylinder slows down glows; a difference is black where there is none.
 _FIELD = {"cmap": colormaps["magma_r"], "vmin": COLOURS[0], "vmax": COLOURS[1]}
 _DIFFERENCE = {"cmap": colormaps["berlin"], "vmin": -_SPAN, "vmax": _SPAN}
+_BARS = {"truth": "x-momentum over the free stream's", "difference": "finer colours"}
 _WIDTH, _ROW, _MARGINS = 10.5, 1.66, 0.8  # inches
 
 
@@ -43,8 +44,8 @@ def draw_strip(judged: Judged) -> Figure:
                 _draw(axes, f, judged, colours) for axes, f in zip(grid[:, j], fields, strict=True)
             ]
             grid[0, j].set_title(name, loc="left", color=TEXT, fontsize=8.5)
-            if name != "truth":
-                _bar(figure, images[0], grid[:, j] if name == "difference" else grid[:, :2])
+            if name in _BARS:
+                _bar(figure, images[0], grid[:, j], _BARS[name])
         for axes, k in zip(grid[:, 0], shown, strict=True):
             axes.set_ylabel(_moment(judged, k), rotation=0, ha="right", va="center")
         return figure
@@ -59,12 +60,12 @@ def _draw(axes: Axes, field: np.ndarray, judged: Judged, colours: dict[str, Any]
     return image
 
 
-def _bar(figure: Figure, image: AxesImage, panels: Any) -> None:
-    bar = figure.colorbar(image, ax=panels, location="bottom", aspect=60, pad=0.012, fraction=0.02)
+def _bar(figure: Figure, image: AxesImage, column: Any, label: str) -> None:
+    bar = figure.colorbar(image, ax=column, location="bottom", aspect=40, pad=0.012, fraction=0.02)
     bar.outline.set_visible(False)
     bar.set_ticks(np.linspace(*image.get_clim(), 5).tolist())
     bar.ax.tick_params(length=0, labelsize=7)
-    bar.set_label("x-momentum over the free stream's", fontsize=7.5)
+    bar.set_label(label, fontsize=7.5)
 
 
 def _moment(judged: Judged, frames: int) -> str:

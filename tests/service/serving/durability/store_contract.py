@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import threading
+
 import hypothesis.strategies as st
 import pytest
 from hypothesis import HealthCheck, given, settings
@@ -43,6 +45,20 @@ class StoreContract:
             of_shard = {n: r for n, r in expected.items() if shard_of(n) == shard}
             assert store.load([shard]) == of_shard
         assert store.load([]) == {}
+        assert {name: store.find(name) for name in expected} == expected
+        assert len(store.load(EVERY_SHARD, 2)) == min(2, len(expected))
+
+    def test_a_record_is_found_while_another_thread_saves(self, store: SnapshotStore) -> None:
+        claim = store.claim("me", EVERY_SHARD)
+        store.save(claim, {"a": b"1"})
+        assert store.find("never/there") is None
+        batches = [{f"b/{i}/{k}": bytes(2_000_000) for k in range(20)} for i in range(4)]
+        saving = threading.Thread(target=lambda: [store.save(claim, batch) for batch in batches])
+        saving.start()
+        while saving.is_alive():
+            assert store.find("a") == b"1"
+        saving.join()
+        assert store.find("b/3/19") == bytes(2_000_000)
 
     def test_a_deleted_record_is_gone_and_the_others_are_not(self, store: SnapshotStore) -> None:
         claim = store.claim("me", EVERY_SHARD)
