@@ -37,6 +37,9 @@ bench: $(TEST_STAMP) ## Print the benchmark tables
 	$(BIN)/python benchmarks/control.py
 	$(BIN)/python benchmarks/commands.py
 	$(BIN)/python benchmarks/service.py
+	$(BIN)/python benchmarks/flood.py
+	$(BIN)/python benchmarks/soak.py
+	$(BIN)/python benchmarks/fuzz.py --plain --seconds 10
 	$(BIN)/python benchmarks/training.py
 	$(BIN)/python benchmarks/mixed.py
 	$(BIN)/python benchmarks/flow.py
@@ -47,7 +50,7 @@ bench: $(TEST_STAMP) ## Print the benchmark tables
 pins: ## Write constraints.txt anew from the newest versions that pyproject.toml allows
 	rm -rf $(PINS)
 	$(PYTHON) -m venv $(PINS)
-	$(PINS)/bin/python -m pip install '.[service,sim,deploy,train,cluster,dev]'
+	$(PINS)/bin/python -m pip install '.[service,sim,deploy,train,cluster,dev,fuzz]'
 	@# A local suffix (+cpu) names one machine's build, and CUDA's packages follow from torch's own pin.
 	( grep '^#' constraints.txt; \
 	  $(PINS)/bin/python -m pip freeze --all --exclude pip --exclude koop \

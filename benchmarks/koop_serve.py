@@ -45,18 +45,27 @@ def seconds_of(process: subprocess.Popen[str]) -> float:
 
 
 @contextmanager
-def service(folder: Path, *arguments: str, listen: str = "tcp/127.0.0.1:0") -> Iterator[Service]:
-    """By default on a free port of this machine, with its state in `folder`."""
+def service(folder: Path, *arguments: str) -> Iterator[Service]:
+    """Listening on a free port of this machine, with its state in `folder`."""
     command = [
-        *(sys.executable, "-m", "koop_service.cli", "--listen", listen),
+        *(sys.executable, "-m", "koop_service.cli", "--listen", "tcp/127.0.0.1:0"),
         *("--state-folder", str(folder), "--metrics-port", "0", *arguments),
     ]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
     try:
         yield _started(process)
     finally:
-        process.terminate()
+        stop(process)
+
+
+def stop(process: subprocess.Popen[str]) -> None:
+    """End it as a user would; where that takes very long, by force, with subprocess's error."""
+    process.terminate()
+    try:
         process.wait(60)
+    finally:
+        process.kill()
+        process.wait()
 
 
 def _started(process: subprocess.Popen[str]) -> Service:

@@ -1,20 +1,22 @@
-"""What benchmarks of the service under load share: a model, a plain client, and pictures."""
+"""What benchmarks put to a koop-serve: weights, pictures, frames packed beforehand, questions."""
 
 from __future__ import annotations
 
-import json
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import zenoh
 
-from koop_protocol import Frame, encode, frame_key
+from koop_protocol import ErrorReply, Frame, decode_as, encode, frame_key
 
 SIZE = 64
-RENDERER = "benchmark"
+PICTURES = 128
 EPOCH = "0123456789abcdef"
+RENDERER = "benchmark"
+ANSWER_TIMEOUT = 60.0  # s
+TREND_SAMPLES = 20
+"""Fewest samples of which a trend is told."""
 
 
 def write_weights(folder: Path) -> Path:
@@ -23,22 +25,13 @@ def write_weights(folder: Path) -> Path:
     from koop_service.encoding.weights import ModelCard, save_weights
 
     path = folder / "benchmark.safetensors"
-    save_weights(path, initialised(8, seed=0), ModelCard("benchmark", "benchmark", 0.05))
+    save_weights(path, initialised(8, seed=0), ModelCard("benchmark", RENDERER, 0.05))
     return path
 
 
-@contextmanager
-def client(endpoint: str) -> Iterator[zenoh.Session]:
-    config = zenoh.Config()
-    for key, value in {
-        "mode": "client",
-        "connect/endpoints": [endpoint],
-        "scouting/multicast/enabled": False,
-        "transport/link/tx/queue/congestion_control/block/wait_before_close": 600_000_000,
-    }.items():
-        config.insert_json5(key, json.dumps(value))
-    with zenoh.open(config) as session:
-        yield session
+def arguments(weights: Path) -> tuple[str, ...]:
+    """Of a koop-serve with these weights that tells of errors alone."""
+    return ("--models", f"benchmark/*={weights}", "--log-level", "error")
 
 
 def pictures(count: int) -> np.ndarray:
@@ -61,9 +54,9 @@ class Templates:
 
     PLACEHOLDER = 2**52 + 1
 
-    def __init__(self, trajectory: str, images: np.ndarray) -> None:
+    def __init__(self, trajectory: str, images: np.ndarray, renderer: str = RENDERER) -> None:
         packed = [
-            encode(Frame(trajectory, EPOCH, self.PLACEHOLDER, 0, image, "benchmark"))
+            encode(Frame(trajectory, EPOCH, self.PLACEHOLDER, 0, image, renderer))
             for image in images
         ]
         mark = self.PLACEHOLDER.to_bytes(8, "big")
@@ -71,5 +64,30 @@ class Templates:
         self._parts = [message.split(mark) for message in packed]
 
     def message(self, seq: int) -> bytes:
+        """Frame `seq`."""
         head, tail = self._parts[seq % len(self._parts)]
         return head + seq.to_bytes(8, "big") + tail
+
+
+def ask(
+    session: zenoh.Session,
+    selector: str,
+    payload: bytes | None,
+    answered: Callable[[str], None],
+) -> None:
+    """Ask without waiting; `answered` gets the error's code, or "", from one of Zenoh's threads."""
+
+    def take(reply: zenoh.Reply) -> None:
+        err = reply.err
+        answered("" if err is None else decode_as(ErrorReply, err.payload.to_bytes()).code)
+
+    handler = zenoh.handlers.Callback(take, indirect=False)
+    session.get(selector, handler, payload=payload, timeout=ANSWER_TIMEOUT)
+
+
+def growth(resident: list[tuple[float, int]]) -> float:
+    """Slope of (time [s], memory [bytes]) over the second half [bytes/min]; 0 of a few samples."""
+    half = np.array(resident[len(resident) // 2 :], dtype=float)
+    if len(half) < TREND_SAMPLES // 2:
+        return 0.0
+    return 60.0 * float(np.polyfit(half[:, 0], half[:, 1], 1)[0])

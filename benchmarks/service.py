@@ -23,11 +23,11 @@ from pathlib import Path
 import numpy as np
 import zenoh
 from koop_serve import Service, service
-from load import Templates, client, pictures, write_weights
+from load import PICTURES, Templates, growth, pictures, write_weights
 
+from koop_clients.connection import open_session
 from koop_protocol import PredictQuery, decode, encode, predict_key, state_key
 
-PICTURES = 128
 HORIZON = 20
 QUERY_INTERVAL = 0.02  # s
 WARM_SECONDS = 3.0
@@ -91,9 +91,6 @@ def _encoding_rate(codec, batch: np.ndarray, seconds: float = 1.0) -> float:
     return count / elapsed
 
 
-# The service
-
-
 # The load
 
 
@@ -101,7 +98,7 @@ def publish(endpoint: str, trajectories: list[str], first: int, stop: Event, sen
     """Put frames of all trajectories in turn, as fast as they are taken, until told to stop."""
     images = pictures(PICTURES)
     templates = [Templates(name, np.roll(images, i, 0)[:16]) for i, name in enumerate(trajectories)]
-    with client(endpoint) as session:
+    with open_session(endpoint) as session:
         publishers = [
             session.declare_publisher(t.key, congestion_control=zenoh.CongestionControl.BLOCK)
             for t in templates
@@ -122,7 +119,7 @@ def ask(endpoint: str, trajectories: list[str], stop: Event, results) -> None:
     """Ask for a prediction every 20 ms, and note how long the answer took."""
     query, choose = encode(PredictQuery(HORIZON)), np.random.default_rng(0)
     latencies, refusals = [], []
-    with client(endpoint) as session:
+    with open_session(endpoint) as session:
         while not stop.is_set():
             key = predict_key(trajectories[choose.integers(len(trajectories))])
             start = time.perf_counter()
@@ -137,7 +134,7 @@ def ask(endpoint: str, trajectories: list[str], stop: Event, results) -> None:
 def flood(endpoint: str, trajectories: list[str], stop: Event) -> None:
     """Ask for pictures and deviations, several at once and without pause."""
     query = encode(PredictQuery(100, returns=frozenset({"codes", "frames", "std"})))
-    with client(endpoint) as session:
+    with open_session(endpoint) as session:
         while not stop.is_set():
             keys = [predict_key(name) for name in trajectories[:16]]
             for answers in [session.get(key, payload=query, timeout=30.0) for key in keys]:
@@ -227,12 +224,6 @@ def watch(served: Service, seconds: float) -> tuple[float, list[tuple[float, int
         time.sleep(0.5)
     rate = (served.metric("koop_frames_total") - frames) / (time.monotonic() - start)
     return rate, resident
-
-
-def growth(resident: list[tuple[float, int]]) -> float:
-    """Slope over the second half [bytes/min]."""
-    half = np.array(resident[len(resident) // 2 :], dtype=float)
-    return 60.0 * float(np.polyfit(half[:, 0], half[:, 1], 1)[0])
 
 
 def print_table(figures: dict[str, float]) -> None:

@@ -63,6 +63,8 @@ from koop_service.serving.watchdog import Watchdog, give_up
 
 log = logging.getLogger("koop.service")
 
+_LOOK = 0.2
+"""Seconds between two looks at whether a signal has come."""
 _RETRY = 0.5
 """Seconds between two attempts to reach a router."""
 _LAST_BATCH = 0.7
@@ -115,8 +117,14 @@ def serve(config: ServiceConfig) -> int:
         return 0
     with session, running(config, session, stop=stop) as service:
         print(_greeting(service), flush=True)
-        stop.wait()
+        _wait_for(stop)
     return FENCED if service.keeper.is_fenced else 0
+
+
+def _wait_for(stop: threading.Event) -> None:
+    """Until a signal has come. One that comes to another thread, or just before a wait, ends none."""
+    while not stop.wait(_LOOK):
+        continue
 
 
 def _serve_as_told(config: ServiceConfig, stop: threading.Event) -> int:
@@ -129,7 +137,7 @@ def _serve_as_told(config: ServiceConfig, stop: threading.Event) -> int:
     with session, running(told, session, equipment, stop) as service:
         worker, port = told.placement.worker, service.metrics_port
         report("ready", worker=worker, metrics_port=port, restored=service.restored)
-        stop.wait()
+        _wait_for(stop)
     return FENCED if service.keeper.is_fenced else 0
 
 
@@ -222,7 +230,11 @@ def _started(
     wire = Limits(max_message_bytes=limits.max_message_bytes, max_horizon=limits.max_horizon)
     replies = replace(wire, max_message_bytes=limits.max_reply_bytes)
     intake: Intake[Question] = Intake(
-        limits.queue_messages, limits.queue_bytes, limits.queue_queries, metrics.held.inc
+        limits.queue_messages,
+        limits.queue_bytes,
+        limits.queue_queries,
+        metrics.held.inc,
+        known=registry.__contains__,
     )
     outbox = Outbox(
         lambda question: _finished(question, intake, metrics),

@@ -101,8 +101,11 @@ class Desk:
 
     @property
     def busy(self) -> bool:
-        """Whether somebody waits for an answer that does not wait for a log."""
-        return any(not self._waits(pending) for pending in self._waiting())
+        """Whether there is something to do for an answer, at once."""
+        return any(
+            not self._waits(pending) and (pending.lane is not None or self._is_due(pending))
+            for pending in self._waiting()
+        )
 
     @property
     def waits(self) -> bool:

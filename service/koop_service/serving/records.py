@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from koop_protocol import checks
 from koop_service.encoding.catalogue import ModelEntry
 from koop_service.encoding.image_codec import ImageCodec
 from koop_service.estimation.estimator import Bank
@@ -17,6 +18,7 @@ from koop_service.estimation.stream import Stream
 from koop_service.serving.trajectories import Trajectory
 
 _VERSION = 2
+_DTYPES = {np.dtype(name).str: np.dtype(name) for name in ("uint8", "float16", "float32")}
 
 
 def snapshot_of(trajectory: Trajectory) -> dict[str, Any]:
@@ -52,7 +54,10 @@ def restored(
 ) -> Trajectory:
     """The trajectory of a checked record. Raises an error, and keeps no lane, if it is damaged."""
     stream = Stream.restore(bank.settings, record["stream"])
-    dtype = np.dtype(record["dtype"])
+    epoch = checks.epoch("epoch", record["epoch"])
+    predecessors = tuple(checks.epoch("predecessor", p) for p in record["predecessors"])
+    rejected = {str(reason): int(count) for reason, count in record["rejected"].items()}
+    dtype = _DTYPES[record["dtype"]]
     lane = bank.open()
     try:
         bank.restore(lane, record["lane"])
@@ -60,14 +65,5 @@ def restored(
         bank.close(lane)
         raise
     return Trajectory(
-        name,
-        entry,
-        codec,
-        bank,
-        lane,
-        stream,
-        str(record["epoch"]),
-        tuple(record["predecessors"]),
-        dtype,
-        Counter(record["rejected"]),
+        name, entry, codec, bank, lane, stream, epoch, predecessors, dtype, Counter(rejected)
     )
