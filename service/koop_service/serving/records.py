@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Mapping
 from dataclasses import asdict
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -27,7 +28,8 @@ def snapshot_of(trajectory: Trajectory) -> dict[str, Any]:
         "version": _VERSION,
         "model": trajectory.entry.name,
         "weights": trajectory.entry.fingerprint,
-        "settings": asdict(trajectory.settings),
+        "settings": _plain(trajectory.settings),
+        "computed_by": trajectory.codec.computed_by,
         "epoch": trajectory.epoch,
         "predecessors": list(trajectory.predecessors),
         "dtype": trajectory.dtype.str,
@@ -43,10 +45,24 @@ def check_record(record: Mapping[str, Any], entry: ModelEntry, settings: Estimat
         ("version", record["version"], _VERSION),
         ("model", record["model"], entry.name),
         ("weights", record["weights"], entry.fingerprint),
-        ("settings", record["settings"], asdict(settings)),
+        ("settings", record["settings"], _plain(settings)),
     ):
         if found != wanted:
             raise ValueError(f"it was made with another {name}: {found}, now {wanted}")
+
+
+def computed_elsewhere(record: Mapping[str, Any], codec: ImageCodec) -> str:
+    """Where the record's codes were computed, if that may round otherwise than here; else ""."""
+    found = record.get("computed_by", codec.computed_by)
+    if found == codec.computed_by:
+        return ""
+    return f"their codes so far were computed by {found}, now it is {codec.computed_by}"
+
+
+@cache
+def _plain(settings: EstimatorSettings) -> dict[str, Any]:
+    """The settings as plain values; thousands of trajectories share a few of them."""
+    return asdict(settings)
 
 
 def restored(
