@@ -122,7 +122,7 @@ def serve(config: ServiceConfig) -> int:
 
 
 def _wait_for(stop: threading.Event) -> None:
-    """Until a signal has come; one that came just before a wait, or to another thread, ends none."""
+    """Until a signal has come; one just before a wait, or to another thread, interrupts none."""
     while not stop.wait(_LOOK):
         continue
 
