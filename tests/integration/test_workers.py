@@ -13,7 +13,7 @@ from integration.loopback import DEADLINE, Source, ask_all, client, config_for
 
 from koop_clients.queries import KoopClient, KoopError
 from koop_protocol import ErrorReply, PredictReply, StateReply, shard_of
-from koop_service.cli import Service, running
+from koop_service.assembly import Service, running
 from koop_service.serving.config import ComputeSettings
 from koop_service.serving.placement.hub import hub
 from koop_service.serving.placement.settings import PlacementSettings
