@@ -8,7 +8,7 @@ import os
 import signal
 import sys
 import threading
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
@@ -27,11 +27,10 @@ from koop_service.serving.config import ServiceConfig
 from koop_service.serving.desk import Desk
 from koop_service.serving.durability.archive import Archive
 from koop_service.serving.durability.keeper import Keeper
-from koop_service.serving.durability.lmdb_store import LmdbStore
 from koop_service.serving.durability.log_reader import LogReader
+from koop_service.serving.durability.opening import claim_and_load, open_store
 from koop_service.serving.durability.recovery import Recovery
 from koop_service.serving.durability.snapshotter import Snapshotter
-from koop_service.serving.durability.store import EVERY_SHARD
 from koop_service.serving.endings import Endings
 from koop_service.serving.endpoint import Endpoint, put_command, put_durable, put_notice
 from koop_service.serving.equipment import settings_for
@@ -44,6 +43,10 @@ from koop_service.serving.options import read_options
 from koop_service.serving.outbox import Outbox
 from koop_service.serving.pace import Pace
 from koop_service.serving.pipeline import Pipeline
+from koop_service.serving.placement.member import FENCED, Orders, report
+from koop_service.serving.placement.ownership import Ownership
+from koop_service.serving.placement.settings import PlacementSettings
+from koop_service.serving.placement.supervisor import supervise
 from koop_service.serving.process import limit_arenas
 from koop_service.serving.questions import Question
 from koop_service.serving.refusals import Refusals
@@ -60,6 +63,8 @@ from koop_service.serving.watchdog import Watchdog, give_up
 
 log = logging.getLogger("koop.service")
 
+_LOOK = 0.2
+"""Seconds between two looks at whether a signal has come."""
 _RETRY = 0.5
 """Seconds between two attempts to reach a router."""
 _LAST_BATCH = 0.7
@@ -77,6 +82,7 @@ class Service:
     metrics: Metrics
     metrics_port: int | None
     restored: int
+    keeper: Keeper
 
 
 def main() -> None:
@@ -85,9 +91,18 @@ def main() -> None:
     try:
         config = read_options(sys.argv[1:])
         logs.configure(config.monitoring.log_format, config.monitoring.log_level)
-        sys.exit(serve(config))
+        sys.exit(_engine(config)(config))
     except (OSError, ValueError) as error:
         sys.exit(f"koop-serve: {error}")
+
+
+def _engine(config: ServiceConfig) -> Callable[[ServiceConfig], int]:
+    """Who runs the service: this process, or workers that it starts."""
+    if config.placement.ray:
+        from koop_service.serving.placement.ray_engine import supervise_on_ray  # only if asked
+
+        return supervise_on_ray
+    return serve if config.placement.workers is None else supervise
 
 
 def serve(config: ServiceConfig) -> int:
@@ -95,18 +110,64 @@ def serve(config: ServiceConfig) -> int:
     stop = threading.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: stop.set())
-    session = _reach(config, stop)
+    if config.placement.told_later:
+        return _serve_as_told(config, stop)
+    session = reach(config, stop)
     if session is None:
         return 0
-    with session, running(config, session) as service:
+    with session, running(config, session, stop=stop) as service:
         print(_greeting(service), flush=True)
-        stop.wait()
-    return 0
+        _wait_for(stop)
+    return FENCED if service.keeper.is_fenced else 0
 
 
-@contextmanager
-def running(config: ServiceConfig, session: zenoh.Session) -> Iterator[Service]:
-    """The service on an open session, until the context ends; then its state is stored."""
+def _wait_for(stop: threading.Event) -> None:
+    """Until a signal has come: one to another thread, or just before a wait, ends no wait."""
+    while not stop.wait(_LOOK):
+        continue
+
+
+def _serve_as_told(config: ServiceConfig, stop: threading.Event) -> int:
+    """Load everything, and serve once a supervisor has said which worker this is to be."""
+    equipment = equip(config)
+    told = _told(config, stop)
+    session = None if told is None else reach(told, stop)
+    if told is None or session is None:
+        return 0
+    with session, running(told, session, equipment, stop) as service:
+        worker, port = told.placement.worker, service.metrics_port
+        report("ready", worker=worker, metrics_port=port, restored=service.restored)
+        _wait_for(stop)
+    return FENCED if service.keeper.is_fenced else 0
+
+
+def _told(config: ServiceConfig, stop: threading.Event) -> ServiceConfig | None:
+    """The settings of the worker that the supervisor's line names; None if it says stop."""
+    orders = Orders(stop)
+    report("prepared")
+    worker = orders.next()
+    if worker is None:
+        return None
+    port = config.monitoring.metrics_port
+    if port:  # a port for each
+        port += int(worker.split("/")[0])
+    monitoring = replace(config.monitoring, metrics_port=port)
+    logs.configure(monitoring.log_format, monitoring.log_level, worker)
+    return replace(config, placement=PlacementSettings(worker=worker), monitoring=monitoring)
+
+
+@dataclass(frozen=True)
+class Equipment:
+    """All that takes its time to load, and does not depend on the shards."""
+
+    catalogue: Catalogue
+    metrics: Metrics
+    refusals: Refusals
+    registry: Registry
+
+
+def equip(config: ServiceConfig) -> Equipment:
+    """Load the models, and do everything once, so that nobody waits for it later."""
     catalogue = _catalogue(config)
     torch.set_num_threads(config.compute.threads)
     metrics = Metrics()
@@ -118,36 +179,62 @@ def running(config: ServiceConfig, session: zenoh.Session) -> Iterator[Service]:
         config.limits.max_trajectories,
         config.compute.device,
     )
-    with closing(LmdbStore(config.state_folder)) as store:
-        claim = store.claim(f"koop-serve {worker_name()}", EVERY_SHARD)
-        restored = registry.restore(store.load(EVERY_SHARD, config.limits.max_trajectories))
-        _prepare(registry, catalogue, config.compute.batch)
-        keeper = Keeper(store, claim, partial(put_durable, session), metrics)
+    _prepare(registry, catalogue, config.compute.batch)
+    return Equipment(catalogue, metrics, refusals, registry)
+
+
+@contextmanager
+def running(
+    config: ServiceConfig,
+    session: zenoh.Session,
+    equipment: Equipment | None = None,
+    stop: threading.Event | None = None,
+) -> Iterator[Service]:
+    """The service on an open session, until the context ends; then its state is stored.
+
+    `stop` ends the wait for a store that is away, with SystemExit; it is set when somebody else has
+    claimed this service's shards.
+    """
+    kit, stop = equipment or equip(config), stop or threading.Event()
+    ownership = config.placement.ownership()
+    with closing(open_store(config)) as store:
+        owner, most = f"koop-serve {worker_name()}", config.limits.max_trajectories
+        taken = claim_and_load(store, owner, ownership.shards, most, stop)
+        if taken is None:
+            sys.exit(0)
+        claim, records = taken
+        restored = kit.registry.restore(records)
+        gc.freeze()  # what was restored lives long, too
+        keeper = Keeper(store, claim, partial(put_durable, session), kit.metrics, stop.set)
         with ExitStack() as stack:
             keeper.start()
             stack.callback(keeper.stop)
             archive = Archive(store.find)
-            with _started(config, session, registry, refusals, metrics, keeper, archive):
-                port = _serve_metrics(config, metrics, stack)
-                yield Service(locators(session), catalogue, metrics, port, restored)
+            with _started(config, session, kit, ownership, keeper, archive):
+                port = _serve_metrics(config, kit.metrics, stack)
+                where = locators(session)
+                yield Service(where, kit.catalogue, kit.metrics, port, restored, keeper)
 
 
 @contextmanager
 def _started(
     config: ServiceConfig,
     session: zenoh.Session,
-    registry: Registry,
-    refusals: Refusals,
-    metrics: Metrics,
+    kit: Equipment,
+    ownership: Ownership,
     keeper: Keeper,
     archive: Archive,
 ) -> Iterator[None]:
     """Intake, pipeline, outbox and all that they need, wired together; then the last snapshots."""
-    limits = config.limits
+    registry, metrics, limits = kit.registry, kit.metrics, config.limits
     wire = Limits(max_message_bytes=limits.max_message_bytes, max_horizon=limits.max_horizon)
     replies = replace(wire, max_message_bytes=limits.max_reply_bytes)
     intake: Intake[Question] = Intake(
-        limits.queue_messages, limits.queue_bytes, limits.queue_queries, metrics.held.inc
+        limits.queue_messages,
+        limits.queue_bytes,
+        limits.queue_queries,
+        metrics.held.inc,
+        known=registry.__contains__,
     )
     outbox = Outbox(
         lambda question: _finished(question, intake, metrics),
@@ -176,8 +263,10 @@ def _started(
     strains = (queue, memory.strain)
     understood = Replies(commander, wire, replies)
     shedding = Shedding(understood, strains)
-    desk = Desk(intake, registry, understood, recovery, outbox, metrics, vitals, shedding)
-    measurements = Measurements(registry, refusals, recovery, metrics, wire, snapshotter.note)
+    desk = Desk(
+        intake, registry, understood, recovery, outbox, metrics, vitals, shedding, ownership
+    )
+    measurements = Measurements(registry, kit.refusals, recovery, metrics, wire, snapshotter.note)
     pipeline = Pipeline(
         intake,
         measurements,
@@ -193,7 +282,7 @@ def _started(
     _watch(metrics, intake, registry, tasks, strains)
     _watch_durability(metrics, recovery, snapshotter, keeper)
     pace = Pace(limits.max_query_rate)
-    endpoint = Endpoint(intake, metrics, limits.max_message_bytes, pace, shedding)
+    endpoint = Endpoint(intake, metrics, limits.max_message_bytes, pace, shedding, ownership)
     with ExitStack() as stack:
         outbox.start()
         stack.callback(outbox.stop, _LAST_ANSWERS)
@@ -289,7 +378,7 @@ def _prepare(registry: Registry, catalogue: Catalogue, batch: int) -> None:
     gc.freeze()
 
 
-def _reach(config: ServiceConfig, stop: threading.Event) -> zenoh.Session | None:
+def reach(config: ServiceConfig, stop: threading.Event) -> zenoh.Session | None:
     """Open the session; where there is nothing to connect to yet, wait for it (None: stopped)."""
     told = False
     while not stop.is_set():
