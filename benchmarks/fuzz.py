@@ -31,6 +31,7 @@ NAMES = (*WIRE, *FILES)
 FOREVER = 2**31 - 1
 FOUND = Path("out/fuzz")
 LOG = "log"
+INTERRUPTED = 72  # libFuzzer's exit code after Ctrl-C
 MEMORY = Path("/dev/shm")
 """Where files cost nothing: each input of some targets is written to one."""
 KEPT = 400
@@ -121,7 +122,7 @@ def fuzz(name: str, options: argparse.Namespace) -> Result:
         result.seconds = time.monotonic() - started
         result.runs, result.accepted = int(counts[0]), int(counts[1])
         result.slowest, result.largest = counts[2], int(counts[3])
-        if process.exitcode:
+        if process.exitcode not in (0, INTERRUPTED):
             result.broken = _keep_crash(name, Path(folder))
         elif options.keep and not options.plain:
             _keep_corpus(name, inputs)

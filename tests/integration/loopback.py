@@ -35,7 +35,7 @@ from koop_protocol import (
     predict_key,
     state_key,
 )
-from koop_service.cli import Service, running
+from koop_service.assembly import Service, running
 from koop_service.encoding.autoencoder import initialised
 from koop_service.encoding.weights import EstimatorDefaults, ModelCard, save_weights
 from koop_service.serving.config import (

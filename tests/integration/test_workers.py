@@ -9,11 +9,11 @@ from pathlib import Path
 
 import pytest
 import zenoh
-from integration.loopback import Source, ask_all, client, config_for
+from integration.loopback import DEADLINE, Source, ask_all, client, config_for
 
 from koop_clients.queries import KoopClient, KoopError
 from koop_protocol import ErrorReply, PredictReply, StateReply, shard_of
-from koop_service.cli import Service, running
+from koop_service.assembly import Service, running
 from koop_service.serving.config import ComputeSettings
 from koop_service.serving.placement.hub import hub
 from koop_service.serving.placement.settings import PlacementSettings
@@ -124,4 +124,4 @@ def test_of_an_owner_that_is_down_nobody_speaks_and_the_client_says_what_to_do(
         for _ in range(2):  # a question that meets the owner as it leaves gets its time-out
             with pytest.raises(KoopError, match="the worker that has this trajectory"):
                 koop.predict(NAMES[0], 3)
-        assert sorted(koop.predict_all(3)) == left
+        assert sorted(koop.predict_all(3, timeout=DEADLINE)) == left
