@@ -91,7 +91,7 @@ def stream(
             rounds.value = seq
         flush(session, 60.0)
         stop.clear()  # everything is put
-        stop.wait()  # and the log is served as long as somebody may ask
+        time.sleep(3600)  # and the log is served until this process is killed
 
 
 class Source:
@@ -116,8 +116,11 @@ class Source:
             time.sleep(0.05)
         return self.frames
 
-    def end(self) -> None:
-        self._stop.set()
+    def __enter__(self) -> Source:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._process.kill()
         self._process.join()
 
 
@@ -128,28 +131,27 @@ def under_fire(options: argparse.Namespace, folder: Path, weights: Path) -> dict
     """Kill the service again and again, and see what became of every measurement."""
     count, choose = options.trajectories, np.random.default_rng(options.seed)
     endpoint = f"tcp/127.0.0.1:{free_port()}"
-    down, caught_up, backlog, source = [], [], [], None
-    killed_at = 0.0
-    for kill in range(options.kills + 1):
-        with service(folder / "state", *models(weights), listen=endpoint) as served:
-            ready = time.monotonic()
-            if source is None:
-                source = Source(endpoint, folder / "source.log", count, options.frames_per_s)
-            else:
-                down.append(ready - killed_at)
-            await_following(served, count)
-            if kill:
-                caught_up.append(time.monotonic() - ready)
-                backlog.append(served.metric("koop_replayed_total"))
-            print_progress(kill, down, caught_up, backlog)
-            if kill < options.kills:
-                time.sleep(choose.uniform(1.0, 6.0))
-                served.process.kill()
-                killed_at = time.monotonic()
-            else:
-                frames = source.stop()
-                await_quiet(served)
-    source.end()
+    down, caught_up, replayed, killed_at = [], [], [], 0.0
+    with ExitStack() as stack:
+        for kill in range(options.kills + 1):
+            with service(folder / "state", *models(weights), listen=endpoint) as served:
+                ready = time.monotonic()
+                if not kill:
+                    log = folder / "source.log"
+                    source = stack.enter_context(Source(endpoint, log, count, options.frames_per_s))
+                await_following(served, count)
+                if kill:
+                    down.append(ready - killed_at)
+                    caught_up.append(time.monotonic() - ready)
+                    replayed.append(served.metric("koop_replayed_total"))
+                    print_progress(kill, down[-1], caught_up[-1], replayed[-1])
+                if kill < options.kills:
+                    time.sleep(choose.uniform(1.0, 6.0))
+                    served.process.kill()
+                    killed_at = time.monotonic()
+                else:
+                    frames = source.stop()
+                    await_quiet(served)
     return {
         "trajectories": count,
         "kills": options.kills,
@@ -157,7 +159,7 @@ def under_fire(options: argparse.Namespace, folder: Path, weights: Path) -> dict
         "down_s": float(np.mean(down)),
         "catch_up_mean_s": float(np.mean(caught_up)),
         "catch_up_max_s": max(caught_up),
-        "replayed_mean": float(np.mean(backlog)),
+        "replayed_mean": float(np.mean(replayed)),
         **compared(folder, weights, count, frames),
     }
 
@@ -168,7 +170,7 @@ def await_following(served: Service, count: int) -> None:
         served.metric("koop_catch_up_seconds_count") < count
         or served.metric("koop_catching_up") > 0
     ):
-        time.sleep(0.02)
+        time.sleep(0.1)  # each look costs the service some milliseconds
 
 
 def await_quiet(served: Service) -> None:
@@ -260,24 +262,20 @@ def full_speed(options: argparse.Namespace, folder: Path, weights: Path, durable
     count = options.trajectories
     every = str(SNAPSHOTS if durable else 0)
     with service(folder / "state", *models(weights), "--snapshot-every", every) as served:
-        source = Source(served.endpoint, folder / "log" if durable else None, count, np.inf)
-        while served.metric("koop_frames_total") < 2 * count:
-            time.sleep(0.1)
-        start, before = time.monotonic(), served.metric("koop_frames_total")
-        time.sleep(options.seconds)
-        rate = (served.metric("koop_frames_total") - before) / (time.monotonic() - start)
-        source.stop()
-        source.end()
-    return rate
+        with Source(served.endpoint, folder / "log" if durable else None, count, np.inf):
+            while served.metric("koop_frames_total") < 2 * count:
+                time.sleep(0.1)
+            start, before = time.monotonic(), served.metric("koop_frames_total")
+            time.sleep(options.seconds)
+            return (served.metric("koop_frames_total") - before) / (time.monotonic() - start)
 
 
-def print_progress(kill: int, down: list[float], caught_up: list[float], backlog: list) -> None:
-    if kill:
-        print(
-            f"kill {kill}: back after {down[-1]:.1f} s, caught up {caught_up[-1]:.2f} s later, "
-            f"{backlog[-1]:.0f} messages replayed",
-            flush=True,
-        )
+def print_progress(kill: int, down: float, caught_up: float, replayed: float) -> None:
+    print(
+        f"kill {kill}: back after {down:.1f} s, caught up {caught_up:.2f} s later, "
+        f"{replayed:.0f} messages replayed",
+        flush=True,
+    )
 
 
 def print_table(options: argparse.Namespace, figures: dict[str, float]) -> None:

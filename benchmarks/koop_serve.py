@@ -45,10 +45,10 @@ def seconds_of(process: subprocess.Popen[str]) -> float:
 
 
 @contextmanager
-def service(folder: Path, *arguments: str) -> Iterator[Service]:
-    """Listening on a free port of this machine, with its state in `folder`."""
+def service(folder: Path, *arguments: str, listen: str = "tcp/127.0.0.1:0") -> Iterator[Service]:
+    """By default on a free port of this machine, with its state in `folder`."""
     command = [
-        *(sys.executable, "-m", "koop_service.cli", "--listen", "tcp/127.0.0.1:0"),
+        *(sys.executable, "-m", "koop_service.cli", "--listen", listen),
         *("--state-folder", str(folder), "--metrics-port", "0", *arguments),
     ]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)

@@ -7,7 +7,7 @@ from dataclasses import InitVar, dataclass, field
 from koop_protocol import checks
 from koop_protocol.errors import ErrorCode, ProtocolError
 from koop_protocol.keys import check_trajectory
-from koop_protocol.limits import DEFAULT_LIMITS, MAX_ENTRIES, Limits
+from koop_protocol.limits import DEFAULT_LIMITS, MAX_ENTRIES, MAX_SEQUENCE, Limits
 
 MAX_BATCH = MAX_ENTRIES
 """Most messages in one reply."""
@@ -24,13 +24,15 @@ class ReplayQuery:
             log's beginning.
         seq: lowest number whose frame or control is wanted.
         after: in place of epoch and seq, the ``position`` of the reply before.
-        max_bytes: of all messages in the reply together; one larger than that is passed over.
+        max_bytes: of all messages in the reply together; a single one may be larger.
+        max_message_bytes: messages larger than that are passed over; None: none are.
     """
 
     epoch: str | None = None
     seq: int = 0
     after: int | None = None
     max_bytes: int = DEFAULT_BATCH_BYTES
+    max_message_bytes: int | None = None
     limits: InitVar[Limits] = field(default=DEFAULT_LIMITS, kw_only=True)
 
     def __post_init__(self, limits: Limits) -> None:
@@ -42,6 +44,8 @@ class ReplayQuery:
             put(self, "after", checks.sequence("after", self.after))
         top = limits.max_message_bytes
         put(self, "max_bytes", checks.integer("max_bytes", self.max_bytes, 1, top))
+        if self.max_message_bytes is not None:
+            checks.integer("max_message_bytes", self.max_message_bytes, 1, MAX_SEQUENCE)
 
 
 @dataclass(frozen=True)

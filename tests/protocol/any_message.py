@@ -215,6 +215,7 @@ replay_queries = st.builds(
     sequences,
     st.none() | sequences,
     st.integers(1, 4 * 1024 * 1024),
+    st.none() | st.integers(1, 2**40),
 )
 
 

@@ -147,6 +147,7 @@ EXAMPLES: dict[str, Message] = {
     "replay query, shortest": ReplayQuery(),
     "replay query, from a number": ReplayQuery("0123456789abcdef", 300, max_bytes=65536),
     "replay query, the next batch": ReplayQuery(after=1234),
+    "replay query, no large messages": ReplayQuery(after=1234, max_message_bytes=65536),
     "replay reply": ReplayReply(
         "cartpole/0",
         (b"\x81\xa1v\x01", b"\x80"),

@@ -46,6 +46,8 @@ REPLY = {
         ({"after": 1.0}, ErrorCode.wrong_type),
         ({"max_bytes": 0}, ErrorCode.malformed),
         ({"max_bytes": 2**22 + 1}, ErrorCode.too_large),
+        ({"max_message_bytes": 0}, ErrorCode.malformed),
+        ({"max_message_bytes": "1"}, ErrorCode.wrong_type),
     ],
 )
 def test_replay_query_refuses(change, code):

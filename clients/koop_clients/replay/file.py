@@ -115,7 +115,7 @@ class LogFile:
         with self._reading, _transaction(self._reader, "BEGIN"):
             number = self._ids.get(trajectory, 0)
             start = self._start(number, query) if query.after is None else query.after
-            messages, position, end = self._batch(number, start, query.max_bytes)
+            messages, position, end = self._batch(number, start, query)
             return ReplayReply(
                 trajectory,
                 tuple(messages),
@@ -218,19 +218,19 @@ class LogFile:
             return found - 1
         return self._one(f"SELECT max(position) {of_epoch}", number, query.epoch) or 0
 
-    def _batch(self, number: int, start: int, max_bytes: int) -> tuple[list[bytes], int, bool]:
+    def _batch(self, number: int, start: int, query: ReplayQuery) -> tuple[list[bytes], int, bool]:
         """Messages behind `start`, the position reached, and whether that is the end."""
         messages: list[bytes] = []
-        size, position = 0, start
+        size, position, largest = 0, start, query.max_message_bytes
         rows = self._reader.execute(
             "SELECT position, data FROM messages WHERE trajectory = ? AND position > ?"
             " ORDER BY position",
             (number, start),
         )
         for at, data in rows:
-            if len(data) <= max_bytes:
+            if largest is None or len(data) <= largest:
                 size += len(data)
-                if len(messages) == MAX_BATCH or size > max_bytes:
+                if len(messages) == MAX_BATCH or (messages and size > query.max_bytes):
                     rows.close()
                     return messages, position, False
                 messages.append(data)

@@ -87,13 +87,23 @@ def test_a_trajectory_without_messages_has_an_empty_log(file: LogFile) -> None:
     assert (reply.messages, reply.end, reply.last_epoch) == ((), True, None)
 
 
-def test_a_batch_is_bounded_in_bytes_and_what_is_larger_is_passed_over(file: LogFile) -> None:
+def test_a_batch_is_bounded_in_bytes_and_what_is_larger_comes_alone(file: LogFile) -> None:
     for seq, size in enumerate((40, 40, 500, 40)):
         file.append("a", A, seq, FRAME, bytes(size))
-    reply = file.read("a", ReplayQuery(max_bytes=100))
-    assert ([len(m) for m in reply.messages], reply.end) == ([40, 40], False)
-    reply = file.read("a", ReplayQuery(after=reply.position, max_bytes=100))
-    assert ([len(m) for m in reply.messages], reply.end) == ([40], True)
+    query, batches, end = ReplayQuery(max_bytes=100), [], False
+    while not end:
+        reply = file.read("a", query)
+        batches.append([len(message) for message in reply.messages])
+        query, end = replace(query, after=reply.position), reply.end
+    assert batches == [[40, 40], [500], [40]]
+
+
+def test_what_is_too_large_for_who_asks_is_passed_over(file: LogFile) -> None:
+    for seq, size in enumerate((40, 501, 40, 501)):
+        file.append("a", A, seq, FRAME, bytes(size))
+    reply = file.read("a", ReplayQuery(max_message_bytes=500))
+    assert ([len(message) for message in reply.messages], reply.end) == ([40, 40], True)
+    assert file.read("a", ReplayQuery(after=reply.position)).messages == ()
 
 
 def test_what_is_durable_is_forgotten_with_all_epochs_before(file: LogFile) -> None:

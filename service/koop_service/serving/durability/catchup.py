@@ -15,6 +15,9 @@ from enum import StrEnum
 from koop_protocol import Control, Frame, ReplayQuery, ReplayReply
 from koop_service.serving.trajectories import Trajectory
 
+BATCH_BYTES = 1 << 18
+"""Of all messages in one answer: enough for 64 of 4 KB, as many as fit into one."""
+
 
 class Verdict(StrEnum):
     """What to do with a live message.
@@ -84,14 +87,14 @@ class CatchUp:
             return Verdict.fold
         return self._hold(before)
 
-    def question(self, trajectory: Trajectory | None, max_bytes: int) -> ReplayQuery:
-        """What to ask the log now."""
+    def question(self, trajectory: Trajectory | None, largest: int) -> ReplayQuery:
+        """What to ask the log now; `largest`: of a single message [bytes]."""
         if self.position is not None:
-            return ReplayQuery(after=self.position, max_bytes=max_bytes)
+            return ReplayQuery(None, 0, self.position, BATCH_BYTES, largest)
         if trajectory is None or trajectory.stream.epoch is None:
-            return ReplayQuery(max_bytes=max_bytes)
+            return ReplayQuery(None, 0, None, BATCH_BYTES, largest)
         stream = trajectory.stream
-        return ReplayQuery(stream.epoch, stream.replay_from, max_bytes=max_bytes)
+        return ReplayQuery(stream.epoch, stream.replay_from, None, BATCH_BYTES, largest)
 
     def advance(self, reply: ReplayReply) -> None:
         """All messages of the reply were given to the fold."""

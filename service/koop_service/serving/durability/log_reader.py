@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import threading
+import time
 from collections import deque
 from collections.abc import Callable
 
@@ -16,10 +17,11 @@ from koop_service.serving.durability.news import LogAnswer, LogQuestion
 
 log = logging.getLogger("koop.replays")
 
-_AT_ONCE = 8
+_AT_ONCE = 32
 """Questions under way at once; their answers lie in memory until they are folded."""
-_PATIENCE = 5.0
-"""Longest wait for an answer [s]."""
+_PATIENCE = 60.0
+"""Longest wait for an answer [s]. It comes over the link of a source that may be held back, behind
+all that waits there; where there is no source any more, Zenoh says so at once."""
 
 
 class LogReader:
@@ -88,7 +90,7 @@ class LogReader:
             reply.is_done = True
             self._under_way -= 1
             self._work.notify()
-        self._deliver(LogAnswer(reply.question, reply.payload, reply.problem))
+        self._deliver(LogAnswer(reply.question, reply.payload, reply.problem, reply.is_late))
 
 
 class _Reply:
@@ -98,8 +100,14 @@ class _Reply:
         self.question = question
         self.payload: bytes | None = None
         self.problem = "nobody answered"
+        self._asked = time.monotonic()
         self.is_done = False
         self._max_bytes = max_bytes
+
+    @property
+    def is_late(self) -> bool:
+        """Whether it took as long as anybody waits."""
+        return self.payload is None and time.monotonic() - self._asked > _PATIENCE - 1.0
 
     def take(self, reply: zenoh.Reply) -> None:
         if self.payload is not None:

@@ -26,11 +26,15 @@ class LogQuestion:
 
 @dataclass(frozen=True, slots=True)
 class LogAnswer:
-    """What came back: the reply's bytes, or None, and why there is none."""
+    """What came back: the reply's bytes, or None, and why there is none.
+
+    late: nothing came in time, which may be the link's fault: who is held back cannot answer.
+    """
 
     question: LogQuestion
     payload: bytes | None
     problem: str = ""
+    late: bool = False
 
 
 LogNews = LogPresence | LogAnswer

@@ -48,8 +48,8 @@ class _Source:
 
     here: its token is there. mute: its log does not answer, and is done without. asked: the number
     of the question under way, until its answer is folded. again: when to ask next [s].
-    behind_since: when it fell behind [s]. waiting_since, held_at: when the first and the newest
-    live message were held since the last answer [s].
+    behind_since: when it fell behind [s]. failing_since: when the first question failed since the
+    last answer [s]. held_at: when the newest live message was held [s].
     """
 
     name: str
@@ -60,7 +60,7 @@ class _Source:
     again: float = 0.0
     pause: float = _FIRST_PAUSE
     behind_since: float = 0.0
-    waiting_since: float | None = None
+    failing_since: float | None = None
     held_at: float = 0.0
     dropped: int = 0
 
@@ -180,9 +180,9 @@ class Recovery:
             if not source.here and now - source.held_at > _GONE:
                 # Whatever was not folded, its log will have when it comes again.
                 self._metrics.deferred.inc(len(self._holding.release(source.name)))
-                source.waiting_since = None
+                source.failing_since = None
                 del self._behind[source.name]
-            elif source.waiting_since is not None and now - source.waiting_since > _PATIENCE:
+            elif self._is_hopeless(source, now):
                 self._do_without(source)
             else:
                 self._ask_one(source)
@@ -193,7 +193,7 @@ class Recovery:
         except ProtocolError as error:  # no room in memory, or its state cannot be read
             self._fail(source, str(error))
             return
-        # Whatever may come alone fits into an answer, and what may not would be refused anyway.
+        # What is too large for us was refused when it came, and would be again.
         query = source.catch_up.question(trajectory, self._limits.max_message_bytes)
         source.asked = next(self._numbers)
         self._metrics.replays.inc()
@@ -210,9 +210,11 @@ class Recovery:
             except ProtocolError as error:
                 problem = str(error)
         if reply is None:
+            if not answer.late and source.failing_since is None:
+                source.failing_since = self._clock()
             self._fail(source, problem)
             return
-        source.pause, source.waiting_since = _FIRST_PAUSE, None
+        source.pause, source.failing_since = _FIRST_PAUSE, None
         self._replays.append(Replay(source, self._arrivals(reply), answer.question.number, reply))
 
     def _read(self, source: _Source, payload: bytes) -> ReplayReply:
@@ -231,17 +233,24 @@ class Recovery:
     def _fail(self, source: _Source, problem: str) -> None:
         source.asked, source.again = None, self._clock() + source.pause
         source.pause = min(2 * source.pause, _LONGEST_PAUSE)
-        log.debug("the log of %s: %s", source.name, problem)
+        if self._brake.admit("answer") is not None:
+            log.info("the log of %s has not answered: %s; it is asked again", source.name, problem)
+
+    def _is_hopeless(self, source: _Source, now: float) -> bool:
+        """Whether messages come that nobody can be asked about."""
+        since = source.failing_since
+        return since is not None and now - since > _PATIENCE and now - source.held_at < _GONE
 
     def _do_without(self, source: _Source) -> None:
         """Its live messages are taken as those of a source without a log."""
-        log.warning(
-            "the log of %s has not answered for %g s; what it may have is done without until its "
-            "source starts anew",
-            source.name,
-            _PATIENCE,
-        )
-        source.mute, source.waiting_since = True, None
+        if self._brake.admit("mute") is not None:
+            log.warning(
+                "the log of %s has not answered for %g s; what it may have is done without until "
+                "its source starts anew",
+                source.name,
+                _PATIENCE,
+            )
+        source.mute, source.failing_since = True, None
         del self._behind[source.name]
         self._replays.append(Replay(source, self._holding.release(source.name)))
 
@@ -316,8 +325,6 @@ class Recovery:
     def _hold(self, source: _Source, arrival: Arrival) -> None:
         self._metrics.deferred.inc(self._holding.add(source.name, arrival))
         source.held_at = self._clock()
-        if source.waiting_since is None:
-            source.waiting_since = source.held_at
         self._fall_behind(source)
 
     def _fall_behind(self, source: _Source) -> None:

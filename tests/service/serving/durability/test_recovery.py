@@ -70,8 +70,10 @@ class Desk:
         data = tuple(map(encode, messages))
         self.reply(encode(ReplayReply(NAME, data, **options), Limits().for_replays()))
 
-    def reply(self, payload: bytes | None, question: LogQuestion | None = None) -> None:
-        self.turn(LogAnswer(question or self.asked[-1], payload))
+    def reply(
+        self, payload: bytes | None, question: LogQuestion | None = None, *, late: bool = False
+    ) -> None:
+        self.turn(LogAnswer(question or self.asked[-1], payload, late=late))
 
     def turn(self, *news: LogPresence | LogAnswer) -> None:
         self.recovery.attend(news)
@@ -119,11 +121,11 @@ def test_a_source_without_a_log_is_asked_nothing(desk: Desk) -> None:
 
 def test_a_token_is_enough_to_ask_for_what_the_fold_needs(desk: Desk) -> None:
     desk.appear()
-    assert desk.asked[-1].query == ReplayQuery(max_bytes=4 << 20)
+    assert desk.asked[-1].query == ReplayQuery(max_bytes=1 << 18, max_message_bytes=4 << 20)
     desk.answer(frames(0, 1, 2))
     assert (desk.next_seq, desk.recovery.behind) == (3, 0)
     desk.appear()
-    assert desk.asked[-1].query == ReplayQuery(EPOCH, 2, max_bytes=4 << 20)
+    assert desk.asked[-1].query == ReplayQuery(EPOCH, 2, None, 1 << 18, 4 << 20)
 
 
 def test_live_frames_wait_until_the_log_is_read_and_then_follow(desk: Desk) -> None:
@@ -205,6 +207,21 @@ def test_a_log_that_never_answers_is_done_without(
     desk.appear()
     desk.answer(frames(49, 50, 51))
     assert (desk.next_seq, desk.recovery.is_logged(NAME)) == (52, True)
+
+
+def test_a_log_whose_answers_are_late_is_waited_for(desk: Desk) -> None:
+    """The source is held back, and its answers with it."""
+    desk.follow(3)
+    for minute in range(10):
+        desk.now = 60.0 * minute
+        desk.put(frames(10 + minute))
+        desk.reply(None, late=True)
+    assert (desk.next_seq, desk.recovery.is_behind(NAME)) == (3, True)
+    desk.now += 3.0
+    desk.turn()
+    desk.answer(frames(*range(2, 20)))
+    assert desk.next_seq == 20
+    assert desk.trajectory.stream.counters["gaps"] == 0
 
 
 def test_a_source_that_is_gone_is_waited_for_and_loses_nothing(desk: Desk) -> None:
