@@ -1,10 +1,11 @@
 """What a kill of the service costs, and what it costs to be ready for one.
 
-A source streams 1,000 trajectories, with a log. The real `koop-serve` is killed with SIGKILL ten
-times at random moments and started again at once. In the end every trajectory's state is compared,
-bit for bit, with that of an undisturbed fold of the same frames and controls.
+A source streams frames and controls of 1,000 trajectories as fast as the real `koop-serve` takes
+them: with log and snapshots, and without, in turn.
 
-Then both stream as fast as they can: with log and snapshots, and without, in turn.
+Then it streams at a quarter of that, with a log. The service is killed with SIGKILL ten times at
+random moments and started again at once. In the end every trajectory's state is compared, bit for
+bit, with that of an undisturbed fold of the same frames and controls.
 
     python benchmarks/durability.py                        # the whole of it, some minutes
     python benchmarks/durability.py --kills 3 --seconds 5
@@ -41,9 +42,10 @@ def main() -> None:
     options = parse_options()
     with tempfile.TemporaryDirectory() as folder:
         weights = write_weights(Path(folder))
-        figures = under_fire(options, Path(folder), weights) if options.kills else {}
-        if options.rounds:
-            figures |= cost(options, Path(folder), weights)
+        figures = cost(options, Path(folder), weights)
+        if options.kills:
+            per_s = options.load * figures["plain_frames_per_s"]
+            figures |= under_fire(options, per_s, Path(folder), weights)
     print_table(options, figures)
     if options.json:
         print(json.dumps({name: round(value, 4) for name, value in figures.items()}))
@@ -52,9 +54,9 @@ def main() -> None:
 def parse_options() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("--trajectories", type=int, default=1000)
-    parser.add_argument("--frames-per-s", type=float, default=500.0, help="of all, while killed")
-    parser.add_argument("--kills", type=int, default=10)
     parser.add_argument("--rounds", type=int, default=2, help="pairs of runs at full speed")
+    parser.add_argument("--load", type=float, default=0.25, help="share of full speed while killed")
+    parser.add_argument("--kills", type=int, default=10)
     parser.add_argument("--seconds", type=float, default=10.0, help="length of each of these")
     parser.add_argument("--seed", type=int, default=0, help="of the moments of the kills")
     parser.add_argument("--json", action="store_true", help="one JSON object on the last line")
@@ -127,7 +129,9 @@ class Source:
 # Ten kills
 
 
-def under_fire(options: argparse.Namespace, folder: Path, weights: Path) -> dict[str, float]:
+def under_fire(
+    options: argparse.Namespace, per_s: float, folder: Path, weights: Path
+) -> dict[str, float]:
     """Kill the service again and again, and see what became of every measurement."""
     count, choose = options.trajectories, np.random.default_rng(options.seed)
     endpoint = f"tcp/127.0.0.1:{free_port()}"
@@ -138,7 +142,7 @@ def under_fire(options: argparse.Namespace, folder: Path, weights: Path) -> dict
                 ready = time.monotonic()
                 if not kill:
                     log = folder / "source.log"
-                    source = stack.enter_context(Source(endpoint, log, count, options.frames_per_s))
+                    source = stack.enter_context(Source(endpoint, log, count, per_s))
                 await_following(served, count)
                 if kill:
                     down.append(ready - killed_at)
@@ -155,6 +159,7 @@ def under_fire(options: argparse.Namespace, folder: Path, weights: Path) -> dict
     return {
         "trajectories": count,
         "kills": options.kills,
+        "load_frames_per_s": per_s,
         "measurements": 2 * frames * count,
         "down_s": float(np.mean(down)),
         "catch_up_mean_s": float(np.mean(caught_up)),
@@ -261,13 +266,16 @@ def full_speed(options: argparse.Namespace, folder: Path, weights: Path, durable
     """Frames a second that the service takes from a source that is as fast as it can be."""
     count = options.trajectories
     every = str(SNAPSHOTS if durable else 0)
-    with service(folder / "state", *models(weights), "--snapshot-every", every) as served:
-        with Source(served.endpoint, folder / "log" if durable else None, count, np.inf):
-            while served.metric("koop_frames_total") < 2 * count:
-                time.sleep(0.1)
-            start, before = time.monotonic(), served.metric("koop_frames_total")
-            time.sleep(options.seconds)
-            return (served.metric("koop_frames_total") - before) / (time.monotonic() - start)
+    log = folder / "source.log" if durable else None
+    with (
+        service(folder / "state", *models(weights), "--snapshot-every", every) as served,
+        Source(served.endpoint, log, count, np.inf),
+    ):
+        while served.metric("koop_frames_total") < 2 * count:
+            time.sleep(0.1)
+        start, before = time.monotonic(), served.metric("koop_frames_total")
+        time.sleep(options.seconds)
+        return (served.metric("koop_frames_total") - before) / (time.monotonic() - start)
 
 
 def print_progress(kill: int, down: float, caught_up: float, replayed: float) -> None:
@@ -279,7 +287,12 @@ def print_progress(kill: int, down: float, caught_up: float, replayed: float) ->
 
 
 def print_table(options: argparse.Namespace, figures: dict[str, float]) -> None:
-    rows = []
+    cost = f"{100 * figures['cost']:.0f} %"
+    rows = [
+        ("frames/s, log and snapshots", f"{figures['durable_frames_per_s']:.0f}", ""),
+        ("frames/s, neither", f"{figures['plain_frames_per_s']:.0f}", ""),
+        ("cost", cost, "under 15 %"),
+    ]
     if options.kills:
         total, count = figures["measurements"], figures["trajectories"]
         rows += [
@@ -289,12 +302,7 @@ def print_table(options: argparse.Namespace, figures: dict[str, float]) -> None:
             ("caught up after [s]", f"{figures['catch_up_mean_s']:.2f}", ""),
             ("  at worst [s]", f"{figures['catch_up_max_s']:.2f}", "under 2"),
             ("out of service [s]", f"{figures['down_s']:.1f}", ""),
-        ]
-    if options.rounds:
-        rows += [
-            ("frames/s, log and snapshots", f"{figures['durable_frames_per_s']:.0f}", ""),
-            ("frames/s, neither", f"{figures['plain_frames_per_s']:.0f}", ""),
-            ("cost", f"{100 * figures['cost']:.0f} %", "under 15 %"),
+            ("load, frames/s", f"{figures['load_frames_per_s']:.0f}", ""),
         ]
     print(f"{options.trajectories} trajectories, the service killed {options.kills} times")
     for name, value, goal in rows:

@@ -173,7 +173,7 @@ class World:
         stored, durable = self.service.snapshot()
         self.stored |= stored
         if durable is not None and acknowledged:
-            self.log.forget(durable)
+            self.log.forget([durable])
 
     def kill_service(self) -> None:
         self.service = Service(self.model, self.stored)

@@ -13,8 +13,8 @@ import os
 import sqlite3
 import threading
 import time
-from collections import Counter
-from collections.abc import Iterator
+from collections import Counter, deque
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -39,8 +39,17 @@ CREATE INDEX by_trajectory ON messages (trajectory, position);
 """
 _ROOM = 16
 """What is dropped at once to make room: this part of the whole."""
-_CHUNK = 64
-"""Messages deleted in one transaction, so that nobody waits long for the next append."""
+_FORGET = """
+DELETE FROM messages WHERE position IN (
+    SELECT position FROM messages WHERE trajectory = ? AND position < (
+        SELECT position FROM messages WHERE trajectory = ? AND epoch = ? AND seq >= ?
+        ORDER BY position LIMIT 1
+    ) ORDER BY position LIMIT ?
+) RETURNING length(data)
+"""
+_CHUNK, _AT_ONCE = 64, 16
+"""Messages of a trajectory, and trajectories, in one transaction that forgets; so that nobody waits
+long for the next append."""
 _LONG = 32 << 20
 """Size of the write-ahead log from which on it is emptied, with appends waiting meanwhile."""
 
@@ -126,16 +135,18 @@ class LogFile:
                 dropped=self._one("SELECT dropped FROM trajectories WHERE id = ?", number) or 0,
             )
 
-    def forget(self, durable: Durable) -> int:
+    def forget(self, durable: Iterable[Durable]) -> int:
         """Delete what is of no use any more; how many messages. Another epoch's is left alone."""
-        number = self._ids.get(durable.trajectory, 0)
-        is_known = "SELECT 1 FROM messages WHERE trajectory = ? AND epoch = ? LIMIT 1"
-        with self._reading:
-            if not self._one(is_known, number, durable.epoch):
-                return 0
-        count = 0
-        while deleted := self._forget_some(number, durable):
-            count += deleted
+        waiting, count = deque(durable), 0
+        while waiting:
+            group = [waiting.popleft() for _ in range(min(len(waiting), _AT_ONCE))]
+            # One transaction for many trajectories: it is what costs most.
+            with self._writing, _transaction(self._writer, "BEGIN IMMEDIATE"):
+                for entry in group:
+                    deleted = self._forget_some(entry)
+                    count += deleted
+                    if deleted == _CHUNK:
+                        waiting.append(entry)
         return count
 
     def tail(self, trajectory: str) -> Tail | None:
@@ -246,24 +257,13 @@ class LogFile:
         ).fetchone()
         return (None, None) if row is None else row
 
-    def _forget_some(self, number: int, durable: Durable) -> int:
-        with self._writing:
-            rows = self._writer.execute(
-                "SELECT position, epoch, seq, length(data) FROM messages WHERE trajectory = ?"
-                " ORDER BY position LIMIT ?",
-                (number, _CHUNK),
-            ).fetchall()
-            last, freed, count = 0, 0, 0
-            for position, epoch, seq, length in rows:
-                if epoch == durable.epoch and seq >= durable.seq:
-                    break
-                last, freed, count = position, freed + length, count + 1
-            if count:
-                self._writer.execute(
-                    "DELETE FROM messages WHERE trajectory = ? AND position <= ?", (number, last)
-                )
-                self._bytes -= freed
-            return count
+    def _forget_some(self, durable: Durable) -> int:
+        """Delete a chunk of what stands before the first message that must stay."""
+        number = self._ids.get(durable.trajectory, 0)
+        rows = self._writer.execute(_FORGET, (number, number, durable.epoch, durable.seq, _CHUNK))
+        sizes = [size for (size,) in rows.fetchall()]
+        self._bytes -= sum(sizes)
+        return len(sizes)
 
     def _one(self, statement: str, *values: object) -> Any:
         """The first value that the statement finds, or None."""

@@ -37,6 +37,8 @@ _TIDY = 1.0
 """Seconds between two times that the file is put in order."""
 _FAREWELL = 0.5
 """Longest wait at the end for a service that has not come round to a new log yet [s]."""
+_FORGOTTEN = 64
+"""Trajectories whose durable messages are forgotten between two questions."""
 _WAITING = 1024
 """Questions that may wait; the service asks far fewer at once."""
 _ROOMY = Limits().for_replays()
@@ -156,12 +158,11 @@ class LogServer:
                     self._work.notify_all()
 
     def _forget_all(self) -> None:
-        with self._work:
-            durable, self._durable = self._durable, {}
-        for entry in durable.values():
-            self._file.forget(entry)
-            if self._questions:  # they wait for nothing
-                self._answer_all()
+        """A few at a time: questions wait for nothing."""
+        while self._durable and not self._questions:
+            with self._work:
+                some = [self._durable.pop(name) for name in list(self._durable)[:_FORGOTTEN]]
+            self._file.forget(some)
 
 
 def _refuse(query: zenoh.Query, error: ProtocolError) -> None:

@@ -110,10 +110,10 @@ def test_what_is_durable_is_forgotten_with_all_epochs_before(file: LogFile) -> N
     fill(file, "a", A, 200)
     fill(file, "b", A, 2)
     messages = fill(file, "a", B, 200)
-    assert file.forget(Durable("a", B, 150)) == 400 + 300
+    assert file.forget([Durable("a", B, 150)]) == 400 + 300
     assert read_all(file, "a") == messages[300:]
-    assert file.forget(Durable("a", A, 199)) == 0, "an epoch that is not there any more"
-    assert file.forget(Durable("a", C, 3)) == 0, "somebody else's epoch"
+    assert file.forget([Durable("a", A, 199)]) == 0, "an epoch that is not there any more"
+    assert file.forget([Durable("a", C, 3)]) == 0, "somebody else's epoch"
     assert len(read_all(file, "b")) == 4
     assert file.bytes == sum(map(len, messages[300:] + read_all(file, "b")))
 
@@ -139,7 +139,7 @@ def test_it_is_a_list_that_forgets_its_head(
             epochs, seq = [*epochs, f"{number:016x}"], 0
         elif what == "forget" and kept:
             epoch, low = data.draw(st.sampled_from(kept))[:2]
-            file.forget(Durable("a", epoch, low))
+            file.forget([Durable("a", epoch, low)])
             kept = kept[next(i for i, k in enumerate(kept) if k[:2] == (epoch, low)) :]
         elif what == "reopen":
             file.close()
@@ -190,7 +190,7 @@ def test_the_tail_is_the_newest_frame(file: LogFile) -> None:
     tail = file.tail("a")
     assert tail is not None
     assert (tail.data, tail.controlled) == (b"0", True)
-    file.forget(Durable("a", A, 0))
+    file.forget([Durable("a", A, 0)])
     assert file.tail("a") == tail
 
 
