@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from contextlib import closing
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +12,7 @@ import pytest
 import zenoh
 
 from koop_clients.connection import open_session
+from koop_clients.replay.file import LogFile
 from koop_clients.replay.log import SourceLog
 from koop_clients.sources import FrameSource
 from koop_protocol import (
@@ -207,3 +209,16 @@ def test_a_frame_that_the_disk_does_not_take_is_put_and_does_not_claim_to_be_log
     assert log.failures == 1
     assert "takes nothing at present" in caplog.text
     subscribed.undeclare()
+
+
+def test_the_simulator_keeps_a_log(knowing, command, tmp_path: Path) -> None:
+    path = tmp_path / "simulator.log"
+    options = ("--system", "cartpole", "--duration", "1", "--trajectories", "2")
+    service = knowing(*options)
+    command(*options, "--log", str(path))
+    with closing(LogFile(path, 1 << 30)) as file:
+        logged = [decode(data) for data in file.read("cartpole/1", ReplayQuery()).messages]
+        assert file.trajectories == ["cartpole/0", "cartpole/1"]
+    put = [frame for frame in service.frames if frame.trajectory == "cartpole/1"]
+    assert [encode(message) for message in logged] == [encode(frame) for frame in put]
+    assert len(put) == 20
