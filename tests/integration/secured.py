@@ -20,7 +20,7 @@ from koop_clients.pki.register import read_parties
 from koop_clients.pki.storage import CONFIGURATION
 from koop_clients.queries import NO_REPLY, KoopClient, KoopError
 from koop_protocol import CLIENT_TOKENS, SOURCE_TOKENS, LqrQuery
-from koop_service.cli import Service, running
+from koop_service.assembly import Service, running
 from koop_service.serving.config import ModelRule, NetworkSettings, ServiceConfig
 from koop_service.serving.session import open_session as open_hub
 
