@@ -95,7 +95,9 @@ def test_nobody_but_the_source_puts_frames(guarded: Secured, certificate: str) -
         assert witness.keys == []
         source.put(source.frame(0))
         flush(robot)
-        assert witness.keys == [frame_key(OTHER)]
+        assert frame_key(OTHER) in witness.keys
+        # And the service, that the former epoch is over.
+        assert set(witness.keys) <= {frame_key(OTHER), state_key(OTHER)}
 
 
 @pytest.mark.parametrize("certificate", ["wall", "robot7", "recorder"])
@@ -243,7 +245,7 @@ def test_a_message_too_large_for_the_hub_is_dropped_and_the_link_lives(guarded: 
         source.put_raw(frame_key(OTHER), bytes(65 << 20))
         source.put(replace(source.frame(1), image=picture(0, 1)))
         flush(session)
-        assert witness.keys == [frame_key(OTHER), frame_key(OTHER)]
+        assert witness.keys.count(frame_key(OTHER)) == 2
         state = asking(session).state(OTHER)
         assert (state.epoch, state.next_seq) == (source.epoch, 2)
 
