@@ -23,7 +23,8 @@ COPY pyproject.toml constraints.txt README.md LICENSE ./
 # Without the sources the first install brings the dependencies alone: a layer that lives until a
 # pin changes. The second one brings koop.
 FROM build AS build-service
-RUN pip install -c constraints.txt '.[service]'
+# With psycopg for --state-store, but without Ray, the large part of koop[cluster].
+RUN pip install -c constraints.txt '.[service]' 'psycopg[binary]'
 COPY protocol protocol
 COPY service service
 COPY clients clients

@@ -15,7 +15,7 @@ export PYRIGHT_PYTHON_IGNORE_WARNINGS := 1
 export PYTHONUNBUFFERED := 1
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test bench pins clean distclean
+.PHONY: help demo test bench postgres pins clean distclean
 
 help: ## List the targets
 	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "  make %-10s %s\n", $$1, $$2 }' $(firstword $(MAKEFILE_LIST))
@@ -24,7 +24,7 @@ demo: $(RUN_STAMP) ## Stream, predict and control a simulated cartpole; leaves o
 	@mkdir -p out
 	$(BIN)/python -m koop_clients.demo
 
-test: $(TEST_STAMP) ## Lint, types, import contracts and tests
+test: $(TEST_STAMP) postgres ## Lint, types, import contracts and tests
 	$(BIN)/python -m ruff check .
 	$(BIN)/python -m ruff format --check .
 	$(BIN)/python -m pyright
@@ -37,13 +37,20 @@ bench: $(TEST_STAMP) ## Print the benchmark tables
 	$(BIN)/python benchmarks/control.py
 	$(BIN)/python benchmarks/commands.py
 	$(BIN)/python benchmarks/service.py
+	$(BIN)/python benchmarks/flood.py
+	$(BIN)/python benchmarks/soak.py
+	$(BIN)/python benchmarks/fuzz.py --plain --seconds 10
 	$(BIN)/python benchmarks/training.py
+	$(BIN)/python benchmarks/mixed.py
 	$(BIN)/python benchmarks/flow.py
+	$(BIN)/python benchmarks/failover.py
+	$(BIN)/python benchmarks/workers.py
+	$(BIN)/python benchmarks/flow_physics.py --quick
 
 pins: ## Write constraints.txt anew from the newest versions that pyproject.toml allows
 	rm -rf $(PINS)
 	$(PYTHON) -m venv $(PINS)
-	$(PINS)/bin/python -m pip install '.[service,sim,deploy,train,dev]'
+	$(PINS)/bin/python -m pip install '.[service,sim,deploy,train,cluster,dev,fuzz]'
 	@# A local suffix (+cpu) names one machine's build, and CUDA's packages follow from torch's own pin.
 	( grep '^#' constraints.txt; \
 	  $(PINS)/bin/python -m pip freeze --all --exclude pip --exclude koop \
@@ -58,6 +65,17 @@ clean: ## Remove what was made, but keep .venv
 distclean: clean ## Remove .venv too
 	rm -rf $(VENV)
 
+# The tests start a server of their own, so that nothing but its programs is needed.
+postgres:
+	@command -v initdb >/dev/null || ls /usr/lib/postgresql/*/bin/initdb >/dev/null 2>&1 || { \
+	  if [ "$$(id -u)" = 0 ] && command -v apt-get >/dev/null; then \
+	    apt-get update -q && apt-get install -y -q --no-install-recommends postgresql; \
+	  else \
+	    echo "The tests need PostgreSQL's server programs, initdb and postgres. Install them, for" \
+	      "example: sudo apt-get install postgresql" >&2; \
+	    exit 1; \
+	  fi; }
+
 $(BIN)/python:
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null || { \
 	  echo "koop needs Python 3.11 or newer, but '$(PYTHON)' is: $$($(PYTHON) --version 2>&1 | tail -n 1)."; \
@@ -71,5 +89,5 @@ $(RUN_STAMP): pyproject.toml constraints.txt | $(BIN)/python
 	@touch $@
 
 $(TEST_STAMP): pyproject.toml constraints.txt | $(BIN)/python
-	$(PIP) install -c constraints.txt -e '.[service,sim,deploy,train,dev]'
+	$(PIP) install -c constraints.txt -e '.[service,sim,deploy,train,cluster,dev]'
 	@touch $(RUN_STAMP) $@

@@ -11,8 +11,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import subprocess
-import sys
 import tempfile
 import threading
 import time
@@ -20,6 +18,7 @@ from pathlib import Path
 
 import numpy as np
 import zenoh
+from koop_serve import service
 
 from koop_clients.connection import open_session
 from koop_clients.control import Controller
@@ -87,17 +86,11 @@ def drive(
     method: str, options: argparse.Namespace, runs: list, folder: Path
 ) -> tuple[list[float], int]:
     """Frame put to command there [s], and how many frames got no command."""
-    command = [sys.executable, "-m", "koop_service.cli", "--listen", "tcp/127.0.0.1:0"]
-    command += ["--state-folder", str(folder), "--log-level", "warning"]
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
-    try:
-        assert process.stdout is not None
-        endpoint = process.stdout.readline().rsplit(" ", 1)[-1].strip()
-        with open_session(endpoint, wait=10.0) as session:
-            return _drive(session, method, options, runs)
-    finally:
-        process.terminate()
-        process.wait(10)
+    with (
+        service(folder, "--log-level", "error") as served,
+        open_session(served.endpoint, wait=10.0) as session,
+    ):
+        return _drive(session, method, options, runs)
 
 
 def _drive(

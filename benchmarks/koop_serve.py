@@ -55,8 +55,17 @@ def service(folder: Path, *arguments: str) -> Iterator[Service]:
     try:
         yield _started(process)
     finally:
-        process.terminate()
-        process.wait(10)
+        stop(process)
+
+
+def stop(process: subprocess.Popen[str]) -> None:
+    """End it as a user would; where that takes very long, by force, with subprocess's error."""
+    process.terminate()
+    try:
+        process.wait(60)
+    finally:
+        process.kill()
+        process.wait()
 
 
 def _started(process: subprocess.Popen[str]) -> Service:

@@ -16,8 +16,6 @@ import json
 import multiprocessing
 import tempfile
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 from multiprocessing.synchronize import Event
 from pathlib import Path
@@ -25,12 +23,11 @@ from pathlib import Path
 import numpy as np
 import zenoh
 from koop_serve import Service, service
+from load import PICTURES, Templates, growth, pictures, write_weights
 
-from koop_protocol import Frame, PredictQuery, decode, encode, frame_key, predict_key, state_key
+from koop_clients.connection import open_session
+from koop_protocol import PredictQuery, decode, encode, predict_key, state_key
 
-SIZE = 64
-PICTURES = 128
-EPOCH = "0123456789abcdef"
 HORIZON = 20
 QUERY_INTERVAL = 0.02  # s
 WARM_SECONDS = 3.0
@@ -67,16 +64,6 @@ def parse_options() -> argparse.Namespace:
 # The encoder alone
 
 
-def write_weights(folder: Path) -> Path:
-    """Weights of the paper's size; what they have learned does not change how fast they are."""
-    from koop_service.encoding.autoencoder import initialised
-    from koop_service.encoding.weights import ModelCard, save_weights
-
-    path = folder / "benchmark.safetensors"
-    save_weights(path, initialised(8, seed=0), ModelCard("benchmark", "benchmark", 0.05))
-    return path
-
-
 def bare_encoder(weights: Path, threads: int) -> float:
     """Frames a second of ImageCodec.encode alone, at its best batch size, in a fresh process."""
     with multiprocessing.get_context("spawn").Pool(1) as pool:
@@ -104,65 +91,14 @@ def _encoding_rate(codec, batch: np.ndarray, seconds: float = 1.0) -> float:
     return count / elapsed
 
 
-# The service
-
-
-@contextmanager
-def client(endpoint: str) -> Iterator[zenoh.Session]:
-    config = zenoh.Config()
-    for key, value in {
-        "mode": "client",
-        "connect/endpoints": [endpoint],
-        "scouting/multicast/enabled": False,
-        "transport/link/tx/queue/congestion_control/block/wait_before_close": 600_000_000,
-    }.items():
-        config.insert_json5(key, json.dumps(value))
-    with zenoh.open(config) as session:
-        yield session
-
-
 # The load
-
-
-def pictures(count: int) -> np.ndarray:
-    """A cart with its pole, (count, 64, 64) uint8, prepared before anything is timed."""
-    y, x = np.mgrid[0:SIZE, 0:SIZE] / SIZE - 0.5
-    return np.stack([_picture(x, y, 0.1 * i) for i in range(count)])
-
-
-def _picture(x: np.ndarray, y: np.ndarray, phase: float) -> np.ndarray:
-    position, angle = 0.2 * np.sin(phase), 1.3 * np.cos(0.7 * phase)
-    u, v = x - position, y
-    along = np.clip(u * np.sin(angle) - v * np.cos(angle), 0.0, 0.35)
-    pole = np.hypot(u - along * np.sin(angle), v + along * np.cos(angle)) - 0.03
-    cart = np.maximum(abs(u) - 0.1, abs(v) - 0.04)
-    return np.clip(255 * (0.5 - SIZE * np.minimum(pole, cart)), 0, 255).astype(np.uint8)
-
-
-class Templates:
-    """Frames packed beforehand; only the number in them is written anew at each put."""
-
-    PLACEHOLDER = 2**52 + 1
-
-    def __init__(self, trajectory: str, images: np.ndarray) -> None:
-        packed = [
-            encode(Frame(trajectory, EPOCH, self.PLACEHOLDER, 0, image, "benchmark"))
-            for image in images
-        ]
-        mark = self.PLACEHOLDER.to_bytes(8, "big")
-        self.key = frame_key(trajectory)
-        self._parts = [message.split(mark) for message in packed]
-
-    def message(self, seq: int) -> bytes:
-        head, tail = self._parts[seq % len(self._parts)]
-        return head + seq.to_bytes(8, "big") + tail
 
 
 def publish(endpoint: str, trajectories: list[str], first: int, stop: Event, sent) -> None:
     """Put frames of all trajectories in turn, as fast as they are taken, until told to stop."""
     images = pictures(PICTURES)
     templates = [Templates(name, np.roll(images, i, 0)[:16]) for i, name in enumerate(trajectories)]
-    with client(endpoint) as session:
+    with open_session(endpoint) as session:
         publishers = [
             session.declare_publisher(t.key, congestion_control=zenoh.CongestionControl.BLOCK)
             for t in templates
@@ -183,7 +119,7 @@ def ask(endpoint: str, trajectories: list[str], stop: Event, results) -> None:
     """Ask for a prediction every 20 ms, and note how long the answer took."""
     query, choose = encode(PredictQuery(HORIZON)), np.random.default_rng(0)
     latencies, refusals = [], []
-    with client(endpoint) as session:
+    with open_session(endpoint) as session:
         while not stop.is_set():
             key = predict_key(trajectories[choose.integers(len(trajectories))])
             start = time.perf_counter()
@@ -198,7 +134,7 @@ def ask(endpoint: str, trajectories: list[str], stop: Event, results) -> None:
 def flood(endpoint: str, trajectories: list[str], stop: Event) -> None:
     """Ask for pictures and deviations, several at once and without pause."""
     query = encode(PredictQuery(100, returns=frozenset({"codes", "frames", "std"})))
-    with client(endpoint) as session:
+    with open_session(endpoint) as session:
         while not stop.is_set():
             keys = [predict_key(name) for name in trajectories[:16]]
             for answers in [session.get(key, payload=query, timeout=30.0) for key in keys]:
@@ -288,12 +224,6 @@ def watch(served: Service, seconds: float) -> tuple[float, list[tuple[float, int
         time.sleep(0.5)
     rate = (served.metric("koop_frames_total") - frames) / (time.monotonic() - start)
     return rate, resident
-
-
-def growth(resident: list[tuple[float, int]]) -> float:
-    """Slope over the second half [bytes/min]."""
-    half = np.array(resident[len(resident) // 2 :], dtype=float)
-    return 60.0 * float(np.polyfit(half[:, 0], half[:, 1], 1)[0])
 
 
 def print_table(figures: dict[str, float]) -> None:

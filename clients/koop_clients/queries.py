@@ -220,5 +220,12 @@ def _no_reply(key: str, seconds: float) -> KoopError:
         NO_REPLY,
         f"nobody answered on {key} (waiting up to {seconds:g} s); check that `koop-serve` runs, "
         "that this session is connected to it and, where the hub has access rules, that they let "
-        "this certificate ask",
+        f"this certificate ask; of several workers, {_silent(key)}",
     )
+
+
+def _silent(key: str) -> str:
+    """What it means where they are there and none speaks."""
+    if "*" in key:
+        return "that no trajectory matches is for none of them to say"
+    return "the worker that has this trajectory may be restarting: ask again"

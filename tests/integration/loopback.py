@@ -35,7 +35,7 @@ from koop_protocol import (
     predict_key,
     state_key,
 )
-from koop_service.cli import Service, running
+from koop_service.assembly import Service, running
 from koop_service.encoding.autoencoder import initialised
 from koop_service.encoding.weights import EstimatorDefaults, ModelCard, save_weights
 from koop_service.serving.config import (
@@ -108,14 +108,7 @@ class Loop:
 
     def ask(self, key: str, payload: bytes | None = None) -> list[Message]:
         """All replies, errors decoded like the others."""
-        replies = self.session.get(
-            key,
-            payload=payload,
-            target=zenoh.QueryTarget.ALL,
-            consolidation=zenoh.ConsolidationMode.NONE,
-            timeout=DEADLINE,
-        )
-        return [decode((r.ok or r.err).payload.to_bytes()) for r in replies]
+        return ask_all(self.session, key, payload)
 
     def ask_one(self, key: str, payload: bytes | None = None) -> Message:
         (reply,) = self.ask(key, payload)
@@ -156,6 +149,18 @@ class Loop:
 
     def lost(self) -> float:
         return self.service.metrics.value("koop_lost_total")
+
+
+def ask_all(session: zenoh.Session, key: str, payload: bytes | None = None) -> list[Message]:
+    """All replies of all workers, errors decoded like the others."""
+    replies = session.get(
+        key,
+        payload=payload,
+        target=zenoh.QueryTarget.ALL,
+        consolidation=zenoh.ConsolidationMode.NONE,
+        timeout=DEADLINE,
+    )
+    return [decode((r.ok or r.err).payload.to_bytes()) for r in replies]
 
 
 @contextmanager

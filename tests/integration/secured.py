@@ -20,7 +20,7 @@ from koop_clients.pki.register import read_parties
 from koop_clients.pki.storage import CONFIGURATION
 from koop_clients.queries import NO_REPLY, KoopClient, KoopError
 from koop_protocol import CLIENT_TOKENS, SOURCE_TOKENS, LqrQuery
-from koop_service.cli import Service, running
+from koop_service.assembly import Service, running
 from koop_service.serving.config import ModelRule, NetworkSettings, ServiceConfig
 from koop_service.serving.session import open_session as open_hub
 
@@ -96,13 +96,28 @@ def stream(session: zenoh.Session, name: str, frames: int) -> Source:
 
 
 class Witness:
-    """Keys of what somebody received."""
+    """What somebody received."""
 
     def __init__(self) -> None:
-        self.keys: list[str] = []
+        self._seen: list[tuple[str, bytes]] = []
+
+    @property
+    def keys(self) -> list[str]:
+        """Of everything."""
+        return [key for key, _ in self._seen]
+
+    def keys_of(self, payload: bytes) -> list[str]:
+        """Of puts of this payload, and of deletes; what the service says is neither."""
+        return [key for key, found in self._seen if found in (payload, b"")]
+
+    def forget(self) -> None:
+        """Begin anew."""
+        self._seen.clear()
 
     def see(self, message: zenoh.Sample | zenoh.Query) -> None:
-        self.keys.append(str(message.key_expr))
+        """Take it down."""
+        payload = message.payload
+        self._seen.append((str(message.key_expr), b"" if payload is None else payload.to_bytes()))
 
 
 @contextmanager

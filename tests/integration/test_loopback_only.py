@@ -13,7 +13,7 @@ import yaml
 from integration.loopback import config_for
 
 from koop_clients.connection import DEFAULT_ENDPOINT
-from koop_service.cli import running
+from koop_service.assembly import running
 from koop_service.serving.config import MonitoringSettings, NetworkSettings, ServiceConfig
 from koop_service.serving.session import open_session, zenoh_config
 

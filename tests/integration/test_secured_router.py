@@ -21,7 +21,7 @@ from koop_protocol import (
     replay_key,
     source_token,
 )
-from koop_service.cli import running
+from koop_service.assembly import running
 from koop_service.serving.config import ModelRule, NetworkSettings, ServiceConfig
 from koop_service.serving.session import locators, open_session
 

@@ -34,7 +34,7 @@ from koop_protocol import (
     encode,
     lqr_key,
 )
-from koop_service.cli import running
+from koop_service.assembly import running
 from koop_service.serving.session import locators, open_session
 
 BOUND = np.array([0.5])

@@ -34,8 +34,9 @@ class FlowSettings:
         reynolds: Reynolds number U D / nu.
         diameter: of the cylinder [cells]; 64/3 makes a frame an exact crop.
         half_height: distance of the side walls from the axis [D]. Nearer ones speed the shedding
-            up: Strouhal number 0.138 at 6, 0.128 at 9, 0.122 in the open.
-        upstream, downstream: where the domain begins and ends [D].
+            up: Strouhal number 0.139 at 6, 0.135 at 9, 0.123 in the open.
+        upstream, downstream: where the domain begins and ends [D]. They do so too: with 15.5 and
+            29.5 it is 0.127 at 9.
         mach: U over the speed of sound, which is the lattice's own.
         frame_steps: time steps from one frame to the next.
     """

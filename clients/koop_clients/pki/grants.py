@@ -18,6 +18,7 @@ from koop_protocol import (
     CONTROLS,
     DURABLES,
     FRAMES,
+    HEALTH,
     LQRS,
     PREDICTIONS,
     REPLAYS,
@@ -26,9 +27,8 @@ from koop_protocol import (
     KeyKind,
 )
 
-HEALTH = "koop/health"
 WORKER_TOKENS = "koop/@worker/**"
-"""Reserved, as is HEALTH: rules outlive the service that they were written for."""
+"""Reserved: rules outlive the service that they were written for."""
 
 Flow = Literal["ingress", "egress"]
 

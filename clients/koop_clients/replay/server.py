@@ -35,6 +35,8 @@ log = logging.getLogger("koop.log")
 
 _TIDY = 1.0
 """Seconds between two times that the file is put in order."""
+_FAREWELL = 0.5
+"""Longest wait at the end for a service that has not come round to a new log yet [s]."""
 _WAITING = 1024
 """Questions that may wait; the service asks far fewer at once."""
 _ROOMY = Limits().for_replays()
@@ -49,6 +51,7 @@ class LogServer:
         self._declared: dict[str, list[Any]] = {}
         self._questions: deque[tuple[str, zenoh.Query]] = deque()
         self._durable: dict[str, Durable] = {}
+        self._unread: set[str] = set()
         self._work = threading.Condition()
         self._closing = False
         self._thread = threading.Thread(target=self._run, name="koop-log", daemon=True)
@@ -63,6 +66,7 @@ class LogServer:
         """Answer for this one too, and let the service know."""
         if trajectory in self._declared:
             return
+        self._unread.add(trajectory)
         direct = partial(zenoh.handlers.Callback, indirect=False)
         ask, note = partial(self._ask, trajectory), partial(self._note, trajectory)
         self._declared[trajectory] = [
@@ -73,7 +77,12 @@ class LogServer:
         ]
 
     def close(self) -> None:
-        """Answer what was asked, and end. The session may be closed already."""
+        """Answer what was asked, and end. The session may be closed already.
+
+        A service takes live frames only after it has read the log once; so it gets a moment to.
+        """
+        with self._work:
+            self._work.wait_for(lambda: not self._unread, _FAREWELL)
         for declared in self._declared.values():
             for entity in reversed(declared):
                 _undeclare(entity)
@@ -132,7 +141,8 @@ class LogServer:
         try:
             payload = query.payload
             asked = ReplayQuery() if payload is None else decode_as(ReplayQuery, payload.to_bytes())
-            reply = encode(self._file.read(trajectory, asked), _ROOMY)
+            batch = self._file.read(trajectory, asked)
+            reply = encode(batch, _ROOMY)
         except ProtocolError as error:
             query.reply_err(encode(ErrorReply.from_error(error)))
         except sqlite3.Error as error:
@@ -140,6 +150,10 @@ class LogServer:
             query.reply_err(encode(ErrorReply.from_error(refusal)))
         else:
             query.reply(replay_key(trajectory), reply)
+            if batch.end:
+                with self._work:
+                    self._unread.discard(trajectory)
+                    self._work.notify_all()
 
     def _forget_all(self) -> None:
         with self._work:

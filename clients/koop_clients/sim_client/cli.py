@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 import time
 from collections.abc import Callable
+from contextlib import AbstractContextManager, nullcontext
 from functools import partial
 
 import zenoh
@@ -14,6 +15,7 @@ from koop_clients.flow.cylinder import DivergedError
 from koop_clients.flow.settings import FlowSettings
 from koop_clients.mechanics.systems import System, build_system
 from koop_clients.queries import NO_REPLY, KoopClient, KoopError
+from koop_clients.replay.log import SourceLog
 from koop_clients.sim_client.arguments import Arguments, parse_arguments
 from koop_clients.sim_client.display import Display
 from koop_clients.sim_client.driving.target import Target, read_target
@@ -54,10 +56,10 @@ def _prepared(arguments: Arguments) -> Callable[[], None]:
 def run_flow(arguments: Arguments, settings: FlowSettings) -> None:
     """Stream flows and drive their wakes; then say what was found, and save what was asked for."""
     display = Display()
-    with _connect(arguments, display) as session:
+    with _connect(arguments, display) as session, _log(arguments) as log:
         stop = Stop()
         stop.catch_signals()
-        live = FlowRun(arguments, settings, session, display)
+        live = FlowRun(arguments, settings, session, display, log)
         live.run(stop)
         flush(session)
     if arguments.output.record is not None:
@@ -73,10 +75,10 @@ def run_flow(arguments: Arguments, settings: FlowSettings) -> None:
 def run(arguments: Arguments, system: System, target: Target) -> None:
     """Stream, ask, drive; then say what was found, and save what was asked for."""
     display = Display()
-    with _connect(arguments, display) as session:
+    with _connect(arguments, display) as session, _log(arguments) as log:
         stop = Stop()
         stop.catch_signals()
-        live = LiveRun(arguments, system, target, session, display)
+        live = LiveRun(arguments, system, target, session, display, log)
         _tell_target(arguments, target, display)
         live.run(stop)
         flush(session)
@@ -105,6 +107,11 @@ def _connect(arguments: Arguments, display: Display) -> zenoh.Session:
         raise
     display.say(f"connected to {arguments.service.endpoint}; {_plan(arguments)}")
     return session
+
+
+def _log(arguments: Arguments) -> AbstractContextManager[SourceLog | None]:
+    path = arguments.service.log
+    return nullcontext() if path is None else SourceLog(path)
 
 
 def _await_answer(client: KoopClient, trajectory: str, wait: float) -> None:

@@ -16,6 +16,7 @@ import zenoh
 from koop_clients.mechanics.simulation import FRAME_INTERVAL
 from koop_clients.mechanics.systems import System
 from koop_clients.queries import KoopClient
+from koop_clients.replay.log import SourceLog
 from koop_clients.sim_client.arguments import Arguments
 from koop_clients.sim_client.display import Display, usual
 from koop_clients.sim_client.driving.phase import Driving
@@ -39,11 +40,12 @@ class LiveRun:
         target: Target,
         session: zenoh.Session,
         display: Display,
+        log: SourceLog | None = None,
     ) -> None:
         self._arguments = arguments
         self._display = display
         self._target = target
-        self._streams = open_streams(arguments, system, target.angle, session)
+        self._streams = open_streams(arguments, system, target.angle, session, log)
         self._asker = Asker(KoopClient(session))
         self._learning = Learning(arguments, self._streams, self._asker, display)
         self._driving = Driving(arguments, target, self._streams, session, self._lag, display)

@@ -156,6 +156,9 @@ class ServiceOptions:
     """A raw Zenoh configuration (JSON5), for instance with certificates."""
     wait: float = 10.0
     """How long to wait for a service that is still starting [s]."""
+    log: OptionalFile = None
+    """Keep in this file what was put until the service has it on disk, so that nothing is lost when
+    the service is killed, or this program."""
 
     def __post_init__(self) -> None:
         require(not_negative(self.wait), "wait", self.wait, "0 or more")

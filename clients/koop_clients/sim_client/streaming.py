@@ -9,6 +9,7 @@ import zenoh
 
 from koop_clients.mechanics.rendering import RENDERER
 from koop_clients.mechanics.systems import System
+from koop_clients.replay.log import SourceLog
 from koop_clients.sim_client.arguments import Arguments
 from koop_clients.sim_client.plant import Plant
 from koop_clients.sim_client.record import Scorebook
@@ -55,17 +56,26 @@ class Stream:
 
 
 def open_streams(
-    arguments: Arguments, system: System, target: float, session: zenoh.Session
+    arguments: Arguments,
+    system: System,
+    target: float,
+    session: zenoh.Session,
+    log: SourceLog | None = None,
 ) -> list[Stream]:
     """The plants that the arguments ask for, at their initial states; `target` is in rad."""
     return [
-        _stream(arguments, system, target, session, index)
+        _stream(arguments, system, target, session, log, index)
         for index in range(arguments.trajectories)
     ]
 
 
 def _stream(
-    arguments: Arguments, system: System, target: float, session: zenoh.Session, index: int
+    arguments: Arguments,
+    system: System,
+    target: float,
+    session: zenoh.Session,
+    log: SourceLog | None,
+    index: int,
 ) -> Stream:
     seed = (arguments.seed, arguments.first + index)
     share = float(np.random.default_rng((*seed, _START)).random())
@@ -76,5 +86,6 @@ def _stream(
         arguments.trajectory(index),
         control_size=int(arguments.is_actuated),
         renderer=RENDERER,
+        log=log,
     )
     return Stream(Plant(system, policy, state), source, start)

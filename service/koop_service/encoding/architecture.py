@@ -20,7 +20,8 @@ class Architecture:
     overlap: int = 0
 
     def __post_init__(self) -> None:
-        if not self.channels or min(self.channels) < 1 or self.overlap not in (0, 2):
+        counts = all(type(count) is int and count >= 1 for count in self.channels)
+        if not self.channels or not counts or self.overlap not in (0, 2):
             raise ValueError(
                 f"{self} cannot be built; expected channels of at least 1, and an overlap of 0 or 2"
             )

@@ -22,7 +22,8 @@ class ImageCodec:
 
     A code's bits must not depend on the batch that its frame rode in. Batches of two and more keep
     that on a CPU; a batch of one takes another kernel and rounds differently, so it is padded,
-    except where all go alone.
+    except where all go alone. Another version of torch or another device may round differently:
+    `computed_by` names them.
     """
 
     def __init__(self, model: Autoencoder, card: ModelCard, device: str = "cpu") -> None:
@@ -32,6 +33,7 @@ class ImageCodec:
         self.value_range = card.value_range
         self.renderer = card.renderer
         self._device = torch.device(device)
+        self.computed_by = f"torch {torch.__version__} on {self._device}"
         values = _CPU_BATCH if self._device.type == "cpu" else _GPU_BATCH
         self._largest = max(1, values // math.prod(card.image_shape))
         self._encoder, self._decoder = (part.to(self._device) for part in fold(model))

@@ -50,6 +50,9 @@ class EstimatorDefaults:
                 f"band_scale is {self.band_scale}; expected {len(SCALE_HORIZONS)} positive factors,"
                 f" for {SCALE_HORIZONS} steps ahead, or none"
             )
+        if not isinstance(self.affine, bool):
+            raise ValueError(f"affine is {self.affine!r}; expected true or false")
+        self.settings(code_size=1, control_size=0)
 
     def settings(self, code_size: int, control_size: int) -> EstimatorSettings:
         """The estimator settings for codes and controls of these sizes."""
@@ -87,8 +90,16 @@ class ModelCard:
     architecture: Architecture = PAPER
 
     def __post_init__(self) -> None:
-        if len(self.image_shape) not in (2, 3) or min(self.image_shape) < 1:
+        if type(self.code_size) is not int or self.code_size < 1:
+            raise ValueError(f"code_size is {self.code_size!r}; expected 1 number or more")
+        sides = all(type(side) is int and side >= 1 for side in self.image_shape)
+        if len(self.image_shape) not in (2, 3) or not sides:
             raise ValueError(f"image_shape is {self.image_shape}; expected (H, W) or (C, H, W)")
+        if not (math.isfinite(self.dt) and self.dt > 0):
+            raise ValueError(f"dt is {self.dt} s between frames; expected a positive time")
+        for name in ("system", "renderer", "dynamics"):
+            if not isinstance(getattr(self, name), str):
+                raise ValueError(f"{name} is {getattr(self, name)!r}; expected text")
         self.architecture.remainder(*channels_first(self.image_shape)[1:])
         low, high = self.value_range
         if not (math.isfinite(low) and math.isfinite(high) and low < high):
@@ -122,13 +133,18 @@ def load_card(path: Path) -> ModelCard:
 def load_weights(path: Path) -> tuple[Autoencoder, ModelCard]:
     """Model in evaluation mode, and its card. Raises ValueError where the file does not fit."""
     card = load_card(path)
-    model = Autoencoder(card.code_size, card.image_shape, card.architecture)
     try:
         with safe_open(path, "pt") as file:
             tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
         tensors.pop(DYNAMICS_TENSOR, None)
+        with torch.device("meta"):
+            # Nothing is allocated for what a card claims before the file bears it out.
+            Autoencoder(card.code_size, card.image_shape, card.architecture).load_state_dict(
+                tensors, assign=True
+            )
+        model = Autoencoder(card.code_size, card.image_shape, card.architecture)
         model.load_state_dict(tensors)
-    except (SafetensorError, RuntimeError) as error:
+    except (SafetensorError, RuntimeError, TypeError) as error:
         raise ValueError(
             f"{path} does not hold the weights that its card names: {error}"
         ) from error
@@ -157,7 +173,7 @@ def _card(path: Path, metadata: Mapping[str, str]) -> ModelCard:
         if "architecture" in fields:
             fields["architecture"] = Architecture.from_fields(fields["architecture"])
         return ModelCard(**fields)
-    except (KeyError, TypeError, ValueError) as error:
+    except (KeyError, TypeError, ValueError, OverflowError, RecursionError) as error:
         raise ValueError(f"{path} has a model card that cannot be read: {error}") from error
 
 

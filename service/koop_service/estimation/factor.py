@@ -31,6 +31,7 @@ from .window import slide
 
 #: Largest magnitude accepted in a measurement; beyond it squares could overflow.
 LARGEST = 1e100
+_LARGEST_ENTRY = 1e120  # of a factor: more than any number of measurements adds up to
 
 
 @dataclass(slots=True, eq=False)
@@ -88,8 +89,11 @@ def check(settings: EstimatorSettings, factor: Factor) -> None:
         if found != wanted:
             raise ValueError(f"the factor's {name} has shape {found}; expected {wanted}")
     arrays = (factor.R, factor.D, factor.anchor, factor.centre, factor.ring)
-    if not all(np.all(np.isfinite(array)) for array in arrays):
-        raise ValueError("the factor holds a number that is not finite; expected finite ones")
+    if not all(np.all(np.abs(array) <= _LARGEST_ENTRY) for array in arrays):
+        raise ValueError(
+            "the factor holds a number that is not finite, or so large that its square is not;"
+            f" expected magnitudes up to {_LARGEST_ENTRY:g}"
+        )
     if not np.all(np.diag(factor.R) > 0.0) or factor.steps < 0:
         raise ValueError("the factor's R or steps is impossible; expected R's diagonal positive")
 

@@ -77,10 +77,11 @@ class InnovationStatistics:
     def insert(self, lane: int, covariance: Array, seen: int, ring: Array) -> None:
         """Put back what `covariance`, `seen` and `ring` gave; raises ValueError for other sizes."""
         n = self.settings.code_size
-        if covariance.shape != (n, n) or not np.all(np.isfinite(covariance)) or seen < 0:
+        good = covariance.shape == (n, n) and np.all(np.isfinite(covariance))
+        if not good or np.any(np.diag(covariance) < 0.0) or seen < 0:
             raise ValueError(
                 f"the covariance has shape {covariance.shape} and {seen} samples;"
-                f" expected ({n}, {n}), finite, and 0 or more"
+                f" expected ({n}, {n}), finite, a diagonal and samples of 0 or more"
             )
         if ring.shape != (RECENT, n) or not np.all(np.isfinite(ring)):
             raise ValueError(

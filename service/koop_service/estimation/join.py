@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from .compiled import Array
+from .restoring import vectors, whole, wholes
 from .settings import EstimatorSettings
 
 #: Controls that may be ahead of the frames, per frame that may be waiting.
@@ -47,6 +48,7 @@ class ControlJoin:
         self.given_up = 0  # transitions lost because their control never came
         self._settings = settings
         self._limit = limit
+        self._most_controls = EARLY_CONTROLS_PER_FRAME * (limit + 2)
         self._next_seq = 0
         self._run: deque[Array] = deque(maxlen=settings.history + 1)
         self._windows: deque[_Window] = deque()
@@ -95,7 +97,7 @@ class ControlJoin:
     def add_control(self, seq: int, u: Array) -> list[Transition]:
         """Take a needed control (p,); the transitions that it completes."""
         self._controls[seq] = u
-        if len(self._controls) > EARLY_CONTROLS_PER_FRAME * (self._limit + 2):
+        if len(self._controls) > self._most_controls:
             # The one furthest ahead is the least likely ever to be used.
             del self._controls[max(self._controls)]
         return self._emit()
@@ -158,20 +160,22 @@ class ControlJoin:
         }
 
     def restore(self, snapshot: dict[str, Any]) -> None:
-        """Become what `snapshot` was taken of."""
-        self.frames = int(snapshot["frames"])
-        self.given_up = int(snapshot["given_up"])
-        self._next_seq = int(snapshot["next_seq"])
+        """Become what `snapshot` was taken of; ValueError where it is damaged."""
+        n, h, p = self._settings.code_size, self._settings.history, self._settings.control_size
+        self.frames = whole("frames", snapshot["frames"])
+        self.given_up = whole("given_up", snapshot["given_up"])
+        self._next_seq = whole("next_seq", snapshot["next_seq"])
         self._run.clear()
-        self._run.extend(_copies(snapshot["run"]))
-        codes = _copies(snapshot["window_codes"])
-        windows = zip(snapshot["window_seqs"], codes, snapshot["window_folded"], strict=True)
-        self._windows = deque(_Window(*window) for window in windows)
-        controls = _copies(snapshot["controls"])
-        self._controls = dict(zip(snapshot["control_seqs"], controls, strict=True))
-        spent = _copies(snapshot["spent_controls"])
-        self._spent = next(zip(snapshot["spent_seqs"], spent, strict=True), None)
-
-
-def _copies(arrays: list[Array]) -> list[Array]:
-    return [np.array(array, dtype=np.float64) for array in arrays]
+        self._run.extend(vectors("run", snapshot["run"], n))
+        seqs = wholes("window_seqs", snapshot["window_seqs"], self._limit + 1)
+        codes = vectors("window_codes", snapshot["window_codes"], h + 1, n)
+        folded = wholes("window_folded", snapshot["window_folded"], self._limit + 1)
+        if seqs != sorted(seqs) or folded != sorted(folded) or max(folded, default=0) > self.frames:
+            raise ValueError("the snapshot's windows are not in order, or not folded yet")
+        self._windows = deque(_Window(*w) for w in zip(seqs, codes, folded, strict=True))
+        known = wholes("control_seqs", snapshot["control_seqs"], self._most_controls)
+        controls = vectors("controls", snapshot["controls"], p)
+        self._controls = dict(zip(known, controls, strict=True))
+        spent = wholes("spent_seqs", snapshot["spent_seqs"], 1)
+        values = vectors("spent_controls", snapshot["spent_controls"], p)
+        self._spent = next(zip(spent, values, strict=True), None)

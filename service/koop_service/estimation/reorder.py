@@ -3,9 +3,8 @@
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
-
 from .compiled import Array
+from .restoring import vectors, whole, wholes
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -75,9 +74,12 @@ class FrameOrder:
             "pending_codes": [code.copy() for code in self._pending.values()],
         }
 
-    def restore(self, snapshot: dict[str, Any]) -> None:
-        """Become what `snapshot` was taken of."""
-        self.next_seq = int(snapshot["next_seq"])
-        self.run_start = int(snapshot["run_start"])
-        codes = (np.array(code, dtype=np.float64) for code in snapshot["pending_codes"])
-        self._pending = dict(zip(snapshot["pending_seqs"], codes, strict=True))
+    def restore(self, snapshot: dict[str, Any], code_size: int) -> None:
+        """Become what `snapshot` was taken of; ValueError where it is damaged."""
+        self.next_seq = whole("next_seq", snapshot["next_seq"])
+        self.run_start = whole("run_start", snapshot["run_start"])
+        waiting = wholes("pending_seqs", snapshot["pending_seqs"], self.limit)
+        codes = vectors("pending_codes", snapshot["pending_codes"], code_size)
+        self._pending = dict(zip(waiting, codes, strict=True))
+        if min(waiting, default=self.next_seq) < self.next_seq or self.run_start > self.next_seq:
+            raise ValueError(f"the snapshot's frames wait behind frame {self.next_seq}")

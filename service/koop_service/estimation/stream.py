@@ -21,6 +21,7 @@ import numpy as np
 from .compiled import Array
 from .join import ControlJoin, Transition
 from .reorder import FrameOrder, OrderedFrame
+from .restoring import texts, whole
 from .settings import EstimatorSettings
 
 __all__ = ["COUNTERS", "Admission", "Stream", "Transition"]
@@ -227,18 +228,25 @@ class Stream:
 
     @classmethod
     def restore(cls, settings: EstimatorSettings, snapshot: dict[str, Any]) -> "Stream":
-        """The stream that `snapshot` was taken of; ValueError when its sizes are others."""
+        """The stream that `snapshot` was taken of.
+
+        Raises ValueError, KeyError or TypeError when its sizes are others or it is damaged.
+        """
         if list(snapshot["sizes"]) != _sizes(settings):
             raise ValueError(
                 f"snapshot has sizes (n, h, p) = {snapshot['sizes']}; expected {_sizes(settings)}:"
                 " it belongs to another model"
             )
-        stream = cls(settings, int(snapshot["reorder_limit"]))
-        stream.epoch = snapshot["epoch"]
-        stream._retired.extend(snapshot["retired"])
-        stream.counters.update(snapshot["counters"])
-        stream._order.restore(snapshot["order"])
+        stream = cls(settings, whole("reorder_limit", snapshot["reorder_limit"]))
+        epochs = [] if snapshot["epoch"] is None else [snapshot["epoch"]]
+        stream.epoch = next(iter(texts("epoch", epochs)), None)
+        stream._retired.extend(texts("retired", snapshot["retired"]))
+        counters = {**stream.counters, **snapshot["counters"]}
+        stream.counters = {name: whole(name, counters[name]) for name in stream.counters}
+        stream._order.restore(snapshot["order"], settings.code_size)
         stream._join.restore(snapshot["join"])
+        if snapshot["order"]["next_seq"] != snapshot["join"]["next_seq"]:
+            raise ValueError("the snapshot's frames and controls are of different moments")
         return stream
 
 

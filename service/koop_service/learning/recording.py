@@ -5,6 +5,8 @@ from __future__ import annotations
 import json
 import math
 import os
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -102,7 +104,7 @@ def load_recording(path: Path) -> Recording:
             system=_text(path, file, names.SYSTEM_ATTRIBUTE),
             renderer=_text(path, file, names.RENDERER_ATTRIBUTE),
             dt=_number(path, file, names.DT_ATTRIBUTE),
-            seed=int(_number(path, file, names.SEED_ATTRIBUTE)),
+            seed=_whole(path, file, names.SEED_ATTRIBUTE),
             value_range=_value_range(path, values),
         )
     if not math.isfinite(recording.dt) or recording.dt <= 0:
@@ -120,8 +122,11 @@ def load_manifest(path: Path) -> list[dict[str, Any]]:
     Raises ValueError where the file does not say so for each trajectory.
     """
     with _open(path) as file:
-        count = len(_dataset(path, file, names.FRAMES_DATASET))
-        lines = _read(path, _dataset(path, file, names.PARAMETERS_DATASET))
+        frames = _dataset(path, file, names.FRAMES_DATASET)
+        count = frames.shape[0] if frames.ndim else 0
+        manifest = _dataset(path, file, names.PARAMETERS_DATASET)
+        _check_memory(path, manifest)
+        lines = _read(path, manifest)
     if lines.shape != (count,):
         raise ValueError(f"{path} has a manifest {lines.shape} for {count} trajectories; {_MAKE}")
     return [_entry(path, i, line) for i, line in enumerate(lines)]
@@ -145,16 +150,22 @@ def _open(path: Path) -> h5py.File:
         raise ValueError(
             f"{path} cannot be read as HDF5; is the copy complete, and the path right? ({error})"
         ) from error
-    if file.attrs.get(names.FORMAT_ATTRIBUTE) != names.RECORDING_FORMAT:
+    try:
+        _check_format(path, file)
+    except ValueError:
         file.close()
+        raise
+    return file
+
+
+def _check_format(path: Path, file: h5py.File) -> None:
+    if str(_stored(path, file, names.FORMAT_ATTRIBUTE)) != names.RECORDING_FORMAT:
         raise ValueError(f"{path} is not a koop recording; {_MAKE}")
-    version: Any = file.attrs.get(names.VERSION_ATTRIBUTE)
-    if version != names.RECORDING_VERSION:
-        file.close()
+    version = _stored(path, file, names.VERSION_ATTRIBUTE)
+    if str(version) != str(names.RECORDING_VERSION):
         raise ValueError(
             f"{path} is a recording of version {version}; this koop reads {names.RECORDING_VERSION}"
         )
-    return file
 
 
 def _check_shapes(path: Path, file: h5py.File) -> tuple[h5py.Dataset, h5py.Dataset]:
@@ -220,27 +231,38 @@ def _gigabytes(size: int) -> str:
 
 
 def _read(path: Path, dataset: h5py.Dataset) -> np.ndarray:
-    try:
-        return dataset[:]
-    except OSError as error:
-        raise ValueError(f"{path} is damaged in its {dataset.name}: {error}") from error
+    with _read_from(path, str(dataset.name)):
+        return np.asarray(dataset[()])
 
 
 def _dataset(path: Path, file: h5py.File, name: str) -> h5py.Dataset:
-    try:
+    with _read_from(path, name):
         dataset = file.get(name)
-    except OSError as error:
-        raise ValueError(f"{path} is damaged in its {name}: {error}") from error
     if not isinstance(dataset, h5py.Dataset) or dataset.shape is None:
         raise ValueError(f"{path} has no data set {name!r}; {_MAKE}")
     return dataset
 
 
 def _attribute(path: Path, file: h5py.File, name: str) -> Any:
-    value = file.attrs.get(name)
+    value = _stored(path, file, name)
     if value is None:
         raise ValueError(f"{path} has no attribute {name!r}; {_MAKE}")
     return value
+
+
+def _stored(path: Path, file: h5py.File, name: str) -> Any:
+    """An attribute as it stands, or None."""
+    with _read_from(path, f"attribute {name!r}"):
+        return file.attrs.get(name)
+
+
+@contextmanager
+def _read_from(path: Path, part: str) -> Iterator[None]:
+    """ValueError for whatever h5py raises where a file is damaged in this part."""
+    try:
+        yield
+    except (OSError, KeyError, TypeError, RuntimeError, ValueError) as error:
+        raise ValueError(f"{path} is damaged in its {part}: {error}") from error
 
 
 def _text(path: Path, file: h5py.File, name: str) -> str:
@@ -255,3 +277,10 @@ def _number(path: Path, file: h5py.File, name: str) -> float:
     if value.ndim or value.dtype.kind not in "fiu":
         raise ValueError(f"{path} has {name} = {value!r}; expected a number")
     return float(value)
+
+
+def _whole(path: Path, file: h5py.File, name: str) -> int:
+    value = _number(path, file, name)
+    if not value.is_integer():
+        raise ValueError(f"{path} has {name} = {value}; expected a whole number")
+    return int(value)

@@ -33,7 +33,8 @@ from koop_service.serving.intake import Intake
 from koop_service.serving.logs import Brake
 from koop_service.serving.metrics import Metrics
 from koop_service.serving.outbox import Outbox
-from koop_service.serving.questions import Question, error_bytes, is_wildcard
+from koop_service.serving.placement.ownership import Ownership
+from koop_service.serving.questions import Question, error_bytes, name_in
 from koop_service.serving.registry import Registry
 from koop_service.serving.replies import Answer, Replies
 from koop_service.serving.shedding import Shedding
@@ -73,7 +74,9 @@ class Desk:
         metrics: Metrics,
         vitals: Vitals,
         shedding: Shedding,
+        ownership: Ownership | None = None,
     ) -> None:
+        self._ownership = ownership or Ownership()
         self._intake = intake
         self._registry = registry
         self._replies = replies
@@ -93,13 +96,16 @@ class Desk:
                 self._outbox.reply(question, HEALTH, encode(self._vitals.report()))
                 self._outbox.close(question)
                 continue
-            lane = None if is_wildcard(question) else _name_in(question)
+            lane = name_in(question.key)
             self._pending[question.kind].append(_Pending(question, waiting.ticket, lane))
 
     @property
     def busy(self) -> bool:
-        """Whether somebody waits for an answer that does not wait for a log."""
-        return any(not self._waits(pending) for pending in self._waiting())
+        """Whether there is something to do for an answer, at once."""
+        return any(
+            not self._waits(pending) and (pending.lane is not None or self._is_due(pending))
+            for pending in self._waiting()
+        )
 
     @property
     def waits(self) -> bool:
@@ -176,12 +182,24 @@ class Desk:
         refusal = self._shedding.refusal(question)
         if refusal is not None:
             raise refusal
-        answer = self._replies.understand(question).answer
-        if not is_wildcard(question):
-            yield self._send(question, answer, self._find(_name_in(question)))
+        name = name_in(question.key)
+        if name is None:
+            yield from self._answers_of_several(question)
+        else:
+            answer = self._replies.understand(question).answer
+            yield self._send(question, answer, self._find(name))
+
+    def _answers_of_several(self, question: Question) -> Iterator[None]:
+        """One each. Where other workers hear the question too, one of all complains about it, and
+        none knows that there is no such trajectory."""
+        try:
+            answer = self._replies.understand(question).answer
+        except ProtocolError:
+            if self._ownership.speaks_for_all:
+                raise
             return
         names = [n for n in self._registry.names() if question.matches(_KEYS[question.kind](n))]
-        if not names:
+        if not names and self._ownership.whole:
             raise ProtocolError(
                 ErrorCode.unknown_trajectory,
                 f"no trajectory matches {question.key!r}",
@@ -231,7 +249,3 @@ class Desk:
             remedy="please report it",
         )
         self._refuse(question, error)
-
-
-def _name_in(question: Question) -> str:
-    return question.key.split("/", 2)[-1]

@@ -27,7 +27,13 @@ from koop_service.serving.durability.news import LogPresence
 from koop_service.serving.intake import Intake, Presence
 from koop_service.serving.metrics import Metrics
 from koop_service.serving.pace import Pace
-from koop_service.serving.questions import Question, ZenohQuestion, error_bytes
+from koop_service.serving.placement.ownership import Ownership
+from koop_service.serving.questions import (
+    Question,
+    ZenohQuestion,
+    error_bytes,
+    name_in,
+)
 from koop_service.serving.shedding import Shedding
 from koop_service.serving.strain import RETRY_AFTER
 
@@ -53,22 +59,25 @@ class Endpoint:
         max_bytes: int,
         pace: Pace,
         shedding: Shedding,
+        ownership: Ownership | None = None,
     ) -> None:
         self._intake = intake
         self._metrics = metrics
         self._max_bytes = max_bytes
         self._pace = pace
         self._shedding = shedding
+        self._ownership = ownership or Ownership()
 
     @contextmanager
     def declared(self, session: zenoh.Session) -> Iterator[None]:
         """Listen on the session as long as the context is open."""
         with ExitStack() as stack:
             callback = zenoh.handlers.Callback(self._meet, indirect=False)
-            stack.enter_context(
-                session.liveliness().declare_subscriber(SOURCE_TOKENS, callback, history=True)
-            )
-            for key in (FRAMES, CONTROLS):
+            for key in self._ownership.keys(SOURCE_TOKENS):
+                stack.enter_context(
+                    session.liveliness().declare_subscriber(key, callback, history=True)
+                )
+            for key in self._ownership.keys(FRAMES) + self._ownership.keys(CONTROLS):
                 callback = zenoh.handlers.Callback(self._measure, indirect=False)
                 stack.enter_context(session.declare_subscriber(key, callback))
             callback = zenoh.handlers.Callback(self._notice, indirect=False)
@@ -109,8 +118,11 @@ class Endpoint:
 
     def _asker(self, kind: KeyKind) -> Callable[[zenoh.Query], None]:
         def ask(query: zenoh.Query) -> None:
+            name = None if kind is KeyKind.health else name_in(str(query.key_expr))
             size = 0 if query.payload is None else len(query.payload)
-            if size > self._max_bytes:
+            if name is not None and not self._ownership.has(name):
+                query.drop()  # its owner answers
+            elif size > self._max_bytes:
                 self._refuse(query, _too_large(size, self._max_bytes))
                 return
             question = ZenohQuestion(kind, query)

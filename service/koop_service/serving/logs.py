@@ -14,10 +14,14 @@ _EVERY = 10.0
 """Seconds between two lines of one kind."""
 
 
-def configure(format_: str, level: str) -> None:
-    """Send the log to standard error, as text or as one JSON object a line."""
+def configure(format_: str, level: str, worker: str = "") -> None:
+    """Send the log to standard error, as text or as one JSON object a line.
+
+    `worker` stands in every line, where there are several (`1/3`).
+    """
     handler = logging.StreamHandler(sys.stderr)
-    handler.setFormatter(JsonFormatter() if format_ == "json" else TextFormatter())
+    formatter = JsonFormatter(worker) if format_ == "json" else TextFormatter(worker)
+    handler.setFormatter(formatter)
     logger = logging.getLogger("koop")
     logger.handlers[:] = [handler]
     logger.setLevel(level.upper())
@@ -32,12 +36,17 @@ def fields_of(record: logging.LogRecord) -> dict[str, Any]:
 class TextFormatter(logging.Formatter):
     """`12:00:01 info  text` for people; warnings and worse say so."""
 
-    def __init__(self) -> None:
-        super().__init__("%(asctime)s %(levelname)-7s %(message)s", "%H:%M:%S")
+    def __init__(self, worker: str = "") -> None:
+        who = f"worker {worker}: " if worker else ""
+        super().__init__(f"%(asctime)s %(levelname)-7s {who}%(message)s", "%H:%M:%S")
 
 
 class JsonFormatter(logging.Formatter):
     """One JSON object a line: time (UTC, ISO 8601), level, message, and the record's own fields."""
+
+    def __init__(self, worker: str = "") -> None:
+        super().__init__()
+        self._who = {"worker": worker} if worker else {}
 
     def format(self, record: logging.LogRecord) -> str:
         seconds = time.strftime("%Y-%m-%dT%H:%M:%S", time.gmtime(record.created))
@@ -45,6 +54,7 @@ class JsonFormatter(logging.Formatter):
             "time": f"{seconds}.{int(record.msecs):03d}Z",
             "level": record.levelname.lower(),
             "message": record.getMessage(),
+            **self._who,
             **fields_of(record),
         }
         if record.exc_info:

@@ -61,6 +61,12 @@ class Metrics:
             registry=self.registry,
         )
 
+        self.catching_up = Histogram(
+            "koop_catch_up_seconds",
+            "Time from a trajectory's falling behind until it follows its source again [s]",
+            buckets=_SECONDS,
+            registry=self.registry,
+        )
         self.storing = Histogram(
             "koop_store_seconds",
             "Time to store one batch of states [s]",

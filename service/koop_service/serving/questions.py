@@ -76,9 +76,9 @@ class ZenohQuestion:
         self._query.drop()
 
 
-def is_wildcard(question: Question) -> bool:
-    """Whether the question may concern several trajectories."""
-    return "*" in question.key or "$" in question.key
+def name_in(key: str) -> str | None:
+    """The one trajectory that a question on this key is about; None for one by wildcard."""
+    return None if "*" in key or "$" in key else key.split("/", 2)[-1]
 
 
 def error_bytes(error: ProtocolError) -> bytes:

@@ -5,10 +5,12 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Mapping
 from dataclasses import asdict
+from functools import cache
 from typing import Any
 
 import numpy as np
 
+from koop_protocol import checks
 from koop_service.encoding.catalogue import ModelEntry
 from koop_service.encoding.image_codec import ImageCodec
 from koop_service.estimation.estimator import Bank
@@ -17,6 +19,7 @@ from koop_service.estimation.stream import Stream
 from koop_service.serving.trajectories import Trajectory
 
 _VERSION = 2
+_DTYPES = {np.dtype(name).str: np.dtype(name) for name in ("uint8", "float16", "float32")}
 
 
 def snapshot_of(trajectory: Trajectory) -> dict[str, Any]:
@@ -25,7 +28,8 @@ def snapshot_of(trajectory: Trajectory) -> dict[str, Any]:
         "version": _VERSION,
         "model": trajectory.entry.name,
         "weights": trajectory.entry.fingerprint,
-        "settings": asdict(trajectory.settings),
+        "settings": _plain(trajectory.settings),
+        "computed_by": trajectory.codec.computed_by,
         "epoch": trajectory.epoch,
         "predecessors": list(trajectory.predecessors),
         "dtype": trajectory.dtype.str,
@@ -41,10 +45,24 @@ def check_record(record: Mapping[str, Any], entry: ModelEntry, settings: Estimat
         ("version", record["version"], _VERSION),
         ("model", record["model"], entry.name),
         ("weights", record["weights"], entry.fingerprint),
-        ("settings", record["settings"], asdict(settings)),
+        ("settings", record["settings"], _plain(settings)),
     ):
         if found != wanted:
             raise ValueError(f"it was made with another {name}: {found}, now {wanted}")
+
+
+def computed_elsewhere(record: Mapping[str, Any], codec: ImageCodec) -> str:
+    """Where the record's codes were computed, if that may round otherwise than here; else ""."""
+    found = record.get("computed_by", codec.computed_by)
+    if found == codec.computed_by:
+        return ""
+    return f"their codes so far were computed by {found}, now it is {codec.computed_by}"
+
+
+@cache
+def _plain(settings: EstimatorSettings) -> dict[str, Any]:
+    """The settings as plain values; thousands of trajectories share a few of them."""
+    return asdict(settings)
 
 
 def restored(
@@ -52,7 +70,10 @@ def restored(
 ) -> Trajectory:
     """The trajectory of a checked record. Raises an error, and keeps no lane, if it is damaged."""
     stream = Stream.restore(bank.settings, record["stream"])
-    dtype = np.dtype(record["dtype"])
+    epoch = checks.epoch("epoch", record["epoch"])
+    predecessors = tuple(checks.epoch("predecessor", p) for p in record["predecessors"])
+    rejected = {str(reason): int(count) for reason, count in record["rejected"].items()}
+    dtype = _DTYPES[record["dtype"]]
     lane = bank.open()
     try:
         bank.restore(lane, record["lane"])
@@ -60,14 +81,5 @@ def restored(
         bank.close(lane)
         raise
     return Trajectory(
-        name,
-        entry,
-        codec,
-        bank,
-        lane,
-        stream,
-        str(record["epoch"]),
-        tuple(record["predecessors"]),
-        dtype,
-        Counter(record["rejected"]),
+        name, entry, codec, bank, lane, stream, epoch, predecessors, dtype, Counter(rejected)
     )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import time
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
@@ -19,7 +19,7 @@ from koop_service.estimation.stream import Stream
 from koop_service.serving.config import EstimatorChoices
 from koop_service.serving.durability.sealing import unseal
 from koop_service.serving.equipment import Equipment
-from koop_service.serving.records import check_record, restored
+from koop_service.serving.records import check_record, computed_elsewhere, restored
 from koop_service.serving.refusals import Refusals
 from koop_service.serving.residents import Residents
 from koop_service.serving.trajectories import REMEMBERED_EPOCHS, Trajectory, check_image
@@ -104,17 +104,17 @@ class Registry(Residents):
     def restore(self, records: Mapping[str, bytes]) -> int:
         """Open the trajectories that are whole and still fit models and settings; how many."""
         left_out: list[str] = []
+        elsewhere: Counter[str] = Counter()
         for name, sealed in records.items():
             try:
-                self._settle_in(self._restored(name, unseal(sealed)))
+                record = unseal(sealed)
+                trajectory = self._restored(name, record)
+                self._settle_in(trajectory)
             except Exception as error:
                 left_out.append(f"{name[:200]!r}: {error}")
-        if left_out:
-            log.warning(
-                "the stored state of %d trajectories is left out, such as of %s",
-                len(left_out),
-                left_out[0],
-            )
+            else:
+                elsewhere[computed_elsewhere(record, trajectory.codec)] += 1
+        _tell_of(left_out, elsewhere)
         return len(records) - len(left_out)
 
     def equipment(
@@ -158,6 +158,18 @@ class Registry(Residents):
         )
         self._settle_in(trajectory)
         return trajectory
+
+
+def _tell_of(left_out: list[str], elsewhere: Counter[str]) -> None:
+    if left_out:
+        log.warning(
+            "the stored state of %d trajectories is left out, such as of %s",
+            len(left_out),
+            left_out[0],
+        )
+    for where, count in elsewhere.items():
+        if where:
+            log.warning("%d stored trajectories go on, but not to the bit: %s", count, where)
 
 
 def _no_frame_yet(control: Control) -> ProtocolError:

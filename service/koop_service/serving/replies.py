@@ -21,7 +21,7 @@ from koop_protocol import (
     predict_query_from_parameters,
 )
 from koop_service.serving import queries
-from koop_service.serving.questions import Question, is_wildcard
+from koop_service.serving.questions import Question, name_in
 from koop_service.serving.steering.commander import Commander
 from koop_service.serving.trajectories import Trajectory
 
@@ -55,7 +55,7 @@ class Replies:
         if question.kind is KeyKind.lqr:
             return self._control(decode(_required(question.payload), self._limits))
         prediction = self._prediction(question)
-        costly = is_wildcard(question) or not _COSTLY.isdisjoint(prediction.returns)
+        costly = name_in(question.key) is None or not _COSTLY.isdisjoint(prediction.returns)
         return self._reply(
             lambda trajectory: queries.predict(trajectory, prediction, self._outgoing), costly
         )

@@ -52,9 +52,12 @@ class UnreachableError(OSError):
     """None of the routers to connect to is there (yet)."""
 
 
-def zenoh_config(settings: NetworkSettings) -> zenoh.Config:
-    """Zenoh's configuration: a router where we listen, else a client of the routers named."""
-    config = _base(settings.zenoh_config)
+def zenoh_config(settings: NetworkSettings, patience: int = _PATIENCE) -> zenoh.Config:
+    """Zenoh's configuration: a router where we listen, else a client of the routers named.
+
+    patience: how long a message waits for whoever does not read before its link is closed [us].
+    """
+    config = _base(settings.zenoh_config, patience)
     endpoints = settings.endpoints
     if settings.zenoh_config is None or endpoints or settings.connect:
         _set(config, "mode", "router" if endpoints else "client")
@@ -76,13 +79,13 @@ def zenoh_config(settings: NetworkSettings) -> zenoh.Config:
 _RETRY = {"period_init_ms": 100, "period_max_ms": 500, "period_increase_factor": 2}
 
 
-def open_session(settings: NetworkSettings) -> zenoh.Session:
+def open_session(settings: NetworkSettings, patience: int = _PATIENCE) -> zenoh.Session:
     """Open the session; use it as a context manager, an open one hangs the interpreter's exit.
 
     Raises CannotListenError, UnreachableError, or OSError for anything else that Zenoh objects to.
     """
     zenoh.try_init_log_from_env()  # says nothing unless RUST_LOG asks for it
-    config = zenoh_config(settings)
+    config = zenoh_config(settings, patience)
     try:
         return zenoh.open(config)
     except zenoh.ZError as error:
@@ -104,7 +107,7 @@ def locators(session: zenoh.Session) -> list[str]:
     return status
 
 
-def _base(path: Path | None) -> zenoh.Config:
+def _base(path: Path | None, patience: int) -> zenoh.Config:
     try:
         config = zenoh.Config() if path is None else zenoh.Config.from_file(str(path))
     except zenoh.ZError as error:
@@ -114,9 +117,7 @@ def _base(path: Path | None) -> zenoh.Config:
     else:
         _set(config, "transport/unicast/accept_timeout", _HELLO)
         _set(config, "transport/link/rx/max_message_size", _LARGEST_MESSAGE)
-        _set(
-            config, "transport/link/tx/queue/congestion_control/block/wait_before_close", _PATIENCE
-        )
+        _set(config, "transport/link/tx/queue/congestion_control/block/wait_before_close", patience)
         _set(config, "transport/link/tx/queue/size/real_time", _COMMANDS)
     _set(config, "adminspace/enabled", True)
     return config

@@ -1,8 +1,9 @@
-"""Reading a configuration file: TOML tables into the settings of `config.py`."""
+"""Configuration files: TOML tables into the settings of `config.py`, and the settings as TOML."""
 
 from __future__ import annotations
 
 import dataclasses
+import json
 import tomllib
 import types
 import typing
@@ -28,6 +29,40 @@ def load_config(path: Path) -> ServiceConfig:
         return _settings(ServiceConfig, tables, "", path.parent)
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from error
+
+
+def parse_config(text: str) -> ServiceConfig:
+    """The settings that `dump_config` wrote."""
+    return _settings(ServiceConfig, tomllib.loads(text), "", Path("/"))
+
+
+def dump_config(config: ServiceConfig) -> str:
+    """The settings as a TOML file for `load_config` in whatever folder; paths become absolute."""
+    return "\n".join(_lines(config, "")) + "\n"
+
+
+def _lines(settings: Any, table: str) -> list[str]:
+    """`name = value` of all that is set, then the tables inside; `table` is the heading above."""
+    plain: list[str] = [table] if table else []
+    tables: list[str] = []
+    for field in dataclasses.fields(settings):
+        value = getattr(settings, field.name)
+        if dataclasses.is_dataclass(value):
+            tables += _lines(value, f"[{field.name}]")
+        elif isinstance(value, tuple) and any(map(dataclasses.is_dataclass, value)):
+            tables += [line for item in value for line in _lines(item, f"[[{field.name}]]")]
+        elif value is not None:
+            plain.append(f"{field.name} = {_text(value)}")
+    return plain + tables
+
+
+def _text(value: object) -> str:
+    if isinstance(value, tuple):
+        return f"[{', '.join(map(_text, value))}]"
+    if isinstance(value, Path):
+        value = str(value.absolute())
+    # JSON's strings, numbers and booleans are TOML's, but for this one character.
+    return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
 
 
 def _settings(type_: type[T], table: dict[str, Any], where: str, folder: Path) -> T:

@@ -32,8 +32,8 @@ class Account:
     warnings: tuple[str, ...] = ()
 
 
-class Driver(Protocol):
-    """Decides about one plant's torque, 5 ms by 5 ms.
+class Deciding(Protocol):
+    """Decides about one plant's controls.
 
     An interval is simulated when the next frame is due: whatever came while it lasted is known
     then, with the time at which it came.
@@ -53,15 +53,11 @@ class Driver(Protocol):
         ...
 
     def settle(self, number: int) -> None:
-        """The interval after frame `number` is over; `torque` may be asked about it."""
+        """The interval after frame `number` is over; its controls may be asked about."""
         ...
 
     def speaks(self, number: int) -> bool:
-        """Whether it knows a torque at the beginning of that interval."""
-        ...
-
-    def torque(self, number: int, step: int, state: State) -> float:
-        """The torque law [N m] (a Policy)."""
+        """Whether it knows a control at the beginning of that interval."""
         ...
 
     def close(self) -> None:
@@ -69,15 +65,22 @@ class Driver(Protocol):
         ...
 
 
-class Knowing:
-    """A driver that knows the true state, and asks nobody."""
+class Driver(Deciding, Protocol):
+    """Decides about one plant's torque, 5 ms by 5 ms."""
+
+    def torque(self, number: int, step: int, state: State) -> float:
+        """The torque law [N m] (a Policy)."""
+        ...
+
+
+class Independent:
+    """What is common to drivers that ask nobody."""
 
     has_given_up = False
 
-    def __init__(self, policy: Policy) -> None:
+    def __init__(self) -> None:
         self.account = Account()
         self.standing = ""
-        self._policy = policy
 
     def shown(self, number: int) -> None:
         """Nothing to ask."""
@@ -90,9 +93,17 @@ class Knowing:
         del number
         return True
 
+    def close(self) -> None:
+        """Nothing to end."""
+
+
+class Knowing(Independent):
+    """A driver that knows the true state."""
+
+    def __init__(self, policy: Policy) -> None:
+        super().__init__()
+        self._policy = policy
+
     def torque(self, number: int, step: int, state: State) -> float:
         """The law's torque [N m]."""
         return self._policy(number, step, state)
-
-    def close(self) -> None:
-        """Nothing to end."""

@@ -10,7 +10,7 @@ from koop_clients.flow.forcing import Law
 from koop_clients.flow.plant import FlowPlant
 from koop_clients.flow.settings import FRAME_INTERVAL
 from koop_clients.sim_client.driving.commanded import Commanded
-from koop_clients.sim_client.driving.driver import Account
+from koop_clients.sim_client.driving.driver import Deciding, Independent
 
 PARTS = 15
 """How often within a frame's interval a new command can take over from the one before."""
@@ -19,67 +19,25 @@ STEP = FRAME_INTERVAL / PARTS
 """The same as a time [s]."""
 
 
-class FlowDriver(Protocol):
+class FlowDriver(Deciding, Protocol):
     """Decides how one cylinder turns, an interval at a time, when the interval is over."""
-
-    account: Account
-    standing: str
-    """What is the matter, in a few words; else ""."""
-
-    @property
-    def has_given_up(self) -> bool:
-        """Whether it will never drive."""
-        ...
-
-    def shown(self, number: int) -> None:
-        """Frame `number` was put just now."""
-        ...
-
-    def settle(self, number: int) -> None:
-        """The interval after frame `number` is over."""
-        ...
-
-    def speaks(self, number: int) -> bool:
-        """Whether it knows a rotation at the beginning of that interval."""
-        ...
 
     def turns(self, plant: FlowPlant) -> list[Turn]:
         """What fills the interval after the plant's present frame."""
         ...
 
-    def close(self) -> None:
-        """The drive is over."""
-        ...
 
-
-class Reference:
-    """A driver that measures the velocity behind the cylinder, and asks nobody."""
-
-    has_given_up = False
+class Reference(Independent):
+    """A driver that measures the velocity behind the cylinder."""
 
     def __init__(self, law: Law) -> None:
-        self.account = Account()
-        self.standing = ""
+        super().__init__()
         self._law = law
-
-    def shown(self, number: int) -> None:
-        """Nothing to ask."""
-
-    def settle(self, number: int) -> None:
-        """Nothing to wait for."""
-
-    def speaks(self, number: int) -> bool:
-        """Always."""
-        del number
-        return True
 
     def turns(self, plant: FlowPlant) -> list[Turn]:
         """One rotation for all of the interval, as the law says at its beginning."""
         rotation = self._law(plant.number, plant.probe)
         return [Turn(plant.flow.settings.frame_steps, rotation)]
-
-    def close(self) -> None:
-        """Nothing to end."""
 
 
 class Obeying(Commanded):

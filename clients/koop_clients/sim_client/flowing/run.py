@@ -16,6 +16,7 @@ from koop_clients.flow.forcing import law
 from koop_clients.flow.plant import FlowPlant, starting
 from koop_clients.flow.settings import FlowSettings
 from koop_clients.queries import KoopClient
+from koop_clients.replay.log import SourceLog
 from koop_clients.sim_client.arguments import Arguments
 from koop_clients.sim_client.display import Display, usual
 from koop_clients.sim_client.flowing.forecasts import FlowForecasts
@@ -36,14 +37,19 @@ class FlowRun:
     """One run of the client over an open session."""
 
     def __init__(
-        self, arguments: Arguments, settings: FlowSettings, session: zenoh.Session, display: Display
+        self,
+        arguments: Arguments,
+        settings: FlowSettings,
+        session: zenoh.Session,
+        display: Display,
+        log: SourceLog | None = None,
     ) -> None:
         self._arguments = arguments
         self._display = display
         self._flow = CylinderFlow(settings)
         self._forecasts = FlowForecasts(arguments, KoopClient(session))
         self._driving = FlowDriving(arguments, self._flow, session, self._spun_up)
-        self._streams = [self._stream(session, i) for i in range(arguments.trajectories)]
+        self._streams = [self._stream(session, log, i) for i in range(arguments.trajectories)]
         self._took: deque[float] = deque(maxlen=_KEPT)
         self._swings: deque[float] = deque(maxlen=20)
         self._frames, self._elapsed, self._completed = 0, 0.0, False
@@ -85,7 +91,7 @@ class FlowRun:
         """What pictures of the first flow's drive are drawn from."""
         return self._driving.record()
 
-    def _stream(self, session: zenoh.Session, index: int) -> FlowStream:
+    def _stream(self, session: zenoh.Session, log: SourceLog | None, index: int) -> FlowStream:
         arguments = self._arguments
         seed = (arguments.seed, arguments.first + index)
         plant = FlowPlant(
@@ -94,7 +100,7 @@ class FlowRun:
             starting(self._flow, seed, self._spun_up),
         )
         size = int(arguments.is_actuated)
-        source = FrameSource(session, arguments.trajectory(index), size, RENDERER)
+        source = FrameSource(session, arguments.trajectory(index), size, RENDERER, log)
         return FlowStream(plant, source, self._driving.add(plant, source))
 
     def _spun_up(self, done: int, total: int) -> None:

@@ -33,7 +33,8 @@ class Snapshot:
 class Keeper:
     """Stores batches of snapshots by trajectory, one at a time.
 
-    `put` sends a payload on a key. All public methods but `start` may be called from any thread.
+    `put` sends a payload on a key; `fenced` is called once somebody else has claimed the shards.
+    All public methods but `start` may be called from any thread.
     """
 
     def __init__(
@@ -42,12 +43,14 @@ class Keeper:
         claim: Claim,
         put: Callable[[str, bytes], None],
         metrics: Metrics,
+        fenced: Callable[[], None] = lambda: None,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self._store = store
         self._claim = claim
         self._put = put
         self._metrics = metrics
+        self._fenced = fenced
         self._clock = clock
         self._brake = Brake()
         self._batch: dict[str, Snapshot] | None = None
@@ -72,6 +75,11 @@ class Keeper:
     def is_durable(self) -> bool:
         """Whether the last batch could be stored."""
         return self._is_durable
+
+    @property
+    def is_fenced(self) -> bool:
+        """Whether somebody else has claimed the shards."""
+        return self._is_fenced
 
     @property
     def is_idle(self) -> bool:
@@ -135,6 +143,7 @@ class Keeper:
         self._metrics.unstored.inc()
         if self._is_fenced:
             log.error("nothing is durable any more: %s", error)
+            self._fenced()
         elif self._brake.admit(type(error).__name__) is None:
             return
         elif isinstance(error, StoreError):

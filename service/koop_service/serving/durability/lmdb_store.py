@@ -1,11 +1,13 @@
 """The store on this machine: one LMDB file, kept open, one transaction a batch.
 
 A transaction is on the disk when it returns, and a kill at any moment leaves the one before or the
-one after. Several services may share the file: claims keep them apart.
+one after. Several services may share the file: claims keep them apart. Whoever opens it while
+nobody else has it open inspects it first; whoever joins them trusts what they do.
 """
 
 from __future__ import annotations
 
+import fcntl
 import logging
 import os
 import threading
@@ -14,7 +16,7 @@ from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from itertools import islice
 from pathlib import Path
-from typing import Any, cast
+from typing import IO, Any, cast
 
 import lmdb
 import msgpack
@@ -31,6 +33,8 @@ from koop_service.serving.durability.store import Claim, FencedError, StoreError
 log = logging.getLogger("koop.snapshots")
 
 _FILE = "estimators.lmdb"
+_USERS = "estimators.lmdb-users"
+"""Locked by whoever has the file open, together, or alone to set it aside."""
 _FORMAT = b"koop-state-1"
 _FIRST_SIZE = 64 << 20
 """Size of the map to begin with [bytes]; it doubles when it is full. The file is not larger than
@@ -51,9 +55,11 @@ class LmdbStore:
         # Held where nobody may be reading: while the map grows, and while the file is opened anew.
         self._reading = threading.RLock()
         _prepare(folder)
-        self._set_aside_if_unfit()
+        self._users = (folder / _USERS).open("a")
+        if _is_first(self._users):
+            self._set_aside_if_unfit()
         with self._opened():
-            pass
+            fcntl.flock(self._users, fcntl.LOCK_SH)
 
     def claim(self, owner: str, shards: Collection[str]) -> Claim:
         """See SnapshotStore."""
@@ -108,6 +114,10 @@ class LmdbStore:
 
     def close(self) -> None:
         """See SnapshotStore."""
+        self._let_go()
+        self._users.close()
+
+    def _let_go(self) -> None:
         with self._reading:
             environment, self._environment = self._environment, None
             if environment is not None:
@@ -145,7 +155,7 @@ class LmdbStore:
         try:
             yield self._present()
         except lmdb.Error as error:
-            self.close()
+            self._let_go()
             raise StoreError(f"the state in {self._path} cannot be used: {error}") from error
 
     def _present(self) -> lmdb.Environment:
@@ -166,6 +176,16 @@ class LmdbStore:
             log.warning(
                 "the state in %s is left out: %s; it is kept as %s", self._path, reason, aside.name
             )
+
+
+def _is_first(users: IO[str]) -> bool:
+    """Lock the file's users: alone, or, once nobody is alone any more, together with the others."""
+    try:
+        fcntl.flock(users, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        fcntl.flock(users, fcntl.LOCK_SH)
+        return False
+    return True
 
 
 def _prepare(folder: Path) -> None:
@@ -197,7 +217,7 @@ def _key(name: str) -> bytes:
 def _records_in(
     transaction: lmdb.Transaction, shards: Collection[str]
 ) -> Iterator[tuple[str, bytes]]:
-    for shard in shards:
+    for shard in sorted(shards):
         prefix, cursor = f"{shard}/".encode(), transaction.cursor()
         found = cursor.set_range(prefix)
         while found and bytes(cursor.key()).startswith(prefix):

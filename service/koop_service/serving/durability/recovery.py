@@ -48,8 +48,8 @@ class _Source:
 
     here: its token is there. mute: its log does not answer, and is done without. asked: the number
     of the question under way, until its answer is folded. again: when to ask next [s].
-    waiting_since, held_at: when the first and the newest live message were held since the last
-    answer [s].
+    behind_since: when it fell behind [s]. waiting_since, held_at: when the first and the newest
+    live message were held since the last answer [s].
     """
 
     name: str
@@ -59,6 +59,7 @@ class _Source:
     asked: int | None = None
     again: float = 0.0
     pause: float = _FIRST_PAUSE
+    behind_since: float = 0.0
     waiting_since: float | None = None
     held_at: float = 0.0
     dropped: int = 0
@@ -147,7 +148,7 @@ class Recovery:
             source.here, source.mute, source.asked = True, False, None
             source.again, source.pause = 0.0, _FIRST_PAUSE
             source.catch_up.start()
-            self._behind[name] = source
+            self._fall_behind(source)
 
     def _miss(self, presence: LogPresence) -> None:
         source = self._sources.get(presence.trajectory)
@@ -265,7 +266,8 @@ class Recovery:
         source.catch_up.advance(reply)
         if not reply.end:
             return []
-        self._behind.pop(source.name, None)
+        if self._behind.pop(source.name, None) is not None:
+            self._metrics.catching_up.observe(self._clock() - source.behind_since)
         return self._holding.release(source.name)
 
     def _tell_dropped(self, source: _Source, reply: ReplayReply) -> None:
@@ -316,4 +318,9 @@ class Recovery:
         source.held_at = self._clock()
         if source.waiting_since is None:
             source.waiting_since = source.held_at
-        self._behind[source.name] = source
+        self._fall_behind(source)
+
+    def _fall_behind(self, source: _Source) -> None:
+        if source.name not in self._behind:
+            source.behind_since = self._clock()
+            self._behind[source.name] = source

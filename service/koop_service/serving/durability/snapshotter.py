@@ -63,8 +63,10 @@ class Snapshotter:
 
     def age(self) -> float:
         """Age of the oldest change that is not on disk yet [s]."""
-        known = (self._round_since, self._changed_since)
-        return self._clock() - min((t for t in known if t is not None), default=self._clock())
+        now, keeper = self._clock(), self._keeper
+        is_stored = not self._due and keeper.is_idle and keeper.is_durable
+        since = (None if is_stored else self._round_since, self._changed_since)
+        return now - min((time for time in since if time is not None), default=now)
 
     def pause(self) -> float:
         """Time until `step` has something to do [s]."""

@@ -7,6 +7,7 @@ that was taken for dead, and is not, cannot overwrite what its successor has sto
 
     OSError
     └── StoreError        it cannot be done now; what was stored before is still there
+        ├── AwayError     the store's server cannot be reached; it may be there later
         └── FencedError   it can never be done: the shards belong to somebody else by now
 """
 
@@ -46,6 +47,10 @@ class Claim:
 
 class StoreError(OSError):
     """The store cannot be read or written at present; str() says why."""
+
+
+class AwayError(StoreError):
+    """The store's server cannot be reached at present."""
 
 
 class FencedError(StoreError):

@@ -155,3 +155,41 @@ def test_a_file_of_another_version_is_set_aside(
     with caplog.at_level(logging.WARNING):
         assert loaded(tmp_path) == {}
     assert "is left out" in caplog.text
+
+
+SHARING = """
+import sys
+from pathlib import Path
+from koop_service.serving.durability.lmdb_store import LmdbStore
+from koop_service.serving.durability.sealing import seal
+from koop_service.serving.placement.ownership import share
+from koop_protocol import shard_of
+number = int(sys.argv[2])
+mine = share(number, 4)
+store = LmdbStore(Path(sys.argv[1]))
+claim = store.claim(f"worker {number}", mine)
+for i in range(400):
+    if shard_of(f"cart/{i}") in mine:
+        store.save(claim, {f"cart/{i}": seal({"number": i, "load": bytes(100_000)})})
+"""
+
+
+def test_workers_that_begin_at_once_share_a_file_that_grows(tmp_path: Path) -> None:
+    places = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
+    command = [sys.executable, "-c", SHARING, str(tmp_path)]
+    workers = [subprocess.Popen([*command, str(number)], env=places) for number in range(4)]
+    assert [worker.wait() for worker in workers] == [0] * 4
+    records = loaded(tmp_path)
+    assert records.keys() == {f"cart/{i}" for i in range(400)}
+    assert not list(tmp_path.glob("*.unfit"))
+
+
+def test_a_file_in_use_is_not_set_aside(tmp_path: Path) -> None:
+    """Not even one that looks unfit: else its users would go on in a file that nobody reads."""
+    program = SHARING.split("number =")[0] + "LmdbStore(Path(sys.argv[1]))"
+    places = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
+    with closing(LmdbStore(tmp_path)) as store:
+        with store._environment.begin(write=True) as transaction:
+            transaction.put(b"format", b"another")
+        subprocess.run([sys.executable, "-c", program, str(tmp_path)], env=places, check=True)
+        assert not list(tmp_path.glob("*.unfit"))

@@ -1,0 +1,1 @@
+"""Which shards a worker owns, and the engines that run several workers."""

@@ -1,0 +1,305 @@
+"""Sources with a log, one event after the other: what is asked, what waits, what is given up."""
+
+from __future__ import annotations
+
+import logging
+from pathlib import Path
+
+import pytest
+from integration.loopback import RENDERER, control, picture, write_model
+from integration.undisturbed import arrival_of, registry_of
+
+from koop_protocol import Control, Frame, Limits, ReplayQuery, ReplayReply, encode
+from koop_service.serving.config import EstimatorChoices
+from koop_service.serving.durability.news import LogAnswer, LogPresence, LogQuestion
+from koop_service.serving.durability.recovery import Recovery
+from koop_service.serving.measurements import Measurements
+from koop_service.serving.metrics import Metrics
+from koop_service.serving.refusals import Refusals
+from koop_service.serving.trajectories import Trajectory
+
+NAME, EPOCH, OTHER = "cart/0", "00000000000000aa", "00000000000000bb"
+Messages = list[Frame | Control]
+
+
+@pytest.fixture(scope="module")
+def model(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_model(tmp_path_factory.mktemp("model"))
+
+
+def frames(*numbers: int, epoch: str = EPOCH, controls: bool = False, **how: object) -> Messages:
+    """Frames of these numbers; with a control after each, if wanted."""
+    messages: Messages = []
+    for seq in numbers:
+        options = {"renderer": RENDERER, "logged": True, **how}
+        messages.append(Frame(NAME, epoch, seq, int(controls), picture(0, seq), **options))
+        if controls:
+            messages.append(Control(NAME, epoch, seq, control(0, seq)))
+    return messages
+
+
+class Desk:
+    """A service's pipeline with a clock of its own, and what it asks of logs."""
+
+    def __init__(self, model: Path, most: int = 4) -> None:
+        self.now = 0.0
+        self.asked: list[LogQuestion] = []
+        self.metrics = Metrics()
+        refusals, limits = Refusals(self.metrics), Limits()
+        self.registry = registry_of(model, EstimatorChoices(), refusals)
+        self.recovery = Recovery(
+            self.registry, self.asked.append, self.metrics, limits, most, lambda: self.now
+        )
+        self.measurements = Measurements(
+            self.registry, refusals, self.recovery, self.metrics, limits, lambda _: None
+        )
+
+    def put(self, messages: Messages) -> None:
+        for message in messages:
+            self.measurements.process([arrival_of(message)])
+        self.turn()
+
+    def appear(self, here: bool = True) -> None:
+        self.turn(LogPresence(NAME, here))
+
+    def answer(self, messages: Messages, **how: object) -> None:
+        """The log answers the newest question with these messages."""
+        last = messages[-1] if messages else None
+        place = {} if last is None else _place(messages[0], last)
+        options = {"position": 9, "end": True, **place, **how}
+        data = tuple(map(encode, messages))
+        self.reply(encode(ReplayReply(NAME, data, **options), Limits().for_replays()))
+
+    def reply(self, payload: bytes | None, question: LogQuestion | None = None) -> None:
+        self.turn(LogAnswer(question or self.asked[-1], payload))
+
+    def turn(self, *news: LogPresence | LogAnswer) -> None:
+        self.recovery.attend(news)
+        for replay in self.recovery.take(64):
+            self.measurements.process(replay.arrivals)
+            self.measurements.process(self.recovery.finish(replay))
+        self.recovery.attend([])
+
+    @property
+    def trajectory(self) -> Trajectory:
+        found = self.registry.find(NAME)
+        assert found is not None
+        return found
+
+    @property
+    def next_seq(self) -> int:
+        return self.trajectory.stream.next_seq
+
+    def follow(self, count: int = 5, **how: object) -> None:
+        """So many frames came, the first ones out of the log."""
+        self.appear()
+        self.answer(frames(*range(count), **how))
+
+
+def _place(first: Frame | Control, last: Frame | Control) -> dict[str, object]:
+    return {
+        "first_epoch": first.epoch,
+        "first_seq": first.seq,
+        "last_epoch": last.epoch,
+        "last_seq": last.seq,
+    }
+
+
+@pytest.fixture
+def desk(model: Path) -> Desk:
+    return Desk(model)
+
+
+def test_a_source_without_a_log_is_asked_nothing(desk: Desk) -> None:
+    desk.put(frames(0, 1, 5, logged=False))
+    assert desk.next_seq == 2
+    assert (desk.asked, desk.recovery.behind) == ([], 0)
+    assert not desk.recovery.is_logged(NAME)
+
+
+def test_a_token_is_enough_to_ask_for_what_the_fold_needs(desk: Desk) -> None:
+    desk.appear()
+    assert desk.asked[-1].query == ReplayQuery(max_bytes=4 << 20)
+    desk.answer(frames(0, 1, 2))
+    assert (desk.next_seq, desk.recovery.behind) == (3, 0)
+    desk.appear()
+    assert desk.asked[-1].query == ReplayQuery(EPOCH, 2, max_bytes=4 << 20)
+
+
+def test_live_frames_wait_until_the_log_is_read_and_then_follow(desk: Desk) -> None:
+    desk.put(frames(3, 4))
+    assert desk.registry.find(NAME) is None
+    assert desk.recovery.is_behind(NAME)
+    desk.answer(frames(0, 1), end=False, position=5)
+    assert desk.asked[-1].query.after == 5
+    assert desk.next_seq == 2
+    desk.answer(frames(2, 3), position=7)
+    assert (desk.next_seq, desk.recovery.behind) == (5, 0)
+    desk.put(frames(5))
+    assert (desk.next_seq, len(desk.asked)) == (6, 2)
+    assert desk.trajectory.stream.counters["duplicates"] == 0
+
+
+def test_a_gap_is_asked_for_at_once_and_nothing_is_given_up(desk: Desk) -> None:
+    desk.follow(5)
+    desk.put(frames(*range(30, 60)))
+    assert (desk.next_seq, len(desk.asked)) == (5, 2)
+    desk.answer(frames(*range(4, 30)))
+    assert desk.next_seq == 60
+    assert desk.trajectory.stream.counters["gaps"] == 0
+
+
+def test_a_gap_that_the_log_cannot_fill_is_counted(
+    desk: Desk, caplog: pytest.LogCaptureFixture
+) -> None:
+    desk.follow(5)
+    with caplog.at_level(logging.WARNING):
+        desk.put(frames(20))
+        desk.answer(frames(18, 19, 20), dropped=13)
+        desk.put(frames(*range(21, 30)))
+    assert desk.next_seq == 30
+    counters = desk.trajectory.stream.counters
+    assert (counters["gaps"], counters["missing_frames"]) == (1, 13)
+    assert "was full: 13 messages of it are lost" in caplog.text
+    assert len(desk.asked) == 2
+
+
+def test_controls_that_were_never_put_are_not_asked_for_again_and_again(desk: Desk) -> None:
+    shown = frames(*range(60), controls=True)[::2]
+    desk.appear()
+    desk.answer(shown[:5])
+    for index, frame in enumerate(shown[5:], 5):
+        desk.put([frame])
+        if desk.recovery.is_behind(NAME):
+            desk.answer(shown[desk.asked[-1].query.seq : index + 1])
+    assert desk.next_seq == 60
+    assert len(desk.asked) <= 2 + 60 // 8
+
+
+def test_what_is_left_of_a_former_run_goes_before_the_new_one(desk: Desk) -> None:
+    desk.follow(5)
+    desk.put(frames(0, epoch=OTHER))
+    assert desk.trajectory.epoch == EPOCH
+    desk.answer([*frames(4, 5, 6), *frames(0, epoch=OTHER)])
+    assert (desk.trajectory.epoch, desk.next_seq) == (OTHER, 1)
+    assert desk.trajectory.stream.counters["frames"] == 8
+    desk.put(frames(1, epoch=OTHER))
+    assert (desk.next_seq, len(desk.asked)) == (2, 2)
+
+
+def test_a_log_that_never_answers_is_done_without(
+    desk: Desk, caplog: pytest.LogCaptureFixture
+) -> None:
+    desk.follow(3)
+    with caplog.at_level(logging.WARNING):
+        for second in range(40):
+            desk.now = float(second)
+            desk.put(frames(10 + second))
+            desk.reply(None)
+    assert "has not answered for 30 s" in caplog.text
+    assert desk.next_seq == 50
+    assert desk.trajectory.stream.counters["missing_frames"] == 7
+    assert not desk.recovery.is_logged(NAME)
+    assert len(desk.asked) < 40, "it is asked less and less often"
+    # Its source starts anew.
+    desk.appear()
+    desk.answer(frames(49, 50, 51))
+    assert (desk.next_seq, desk.recovery.is_logged(NAME)) == (52, True)
+
+
+def test_a_source_that_is_gone_is_waited_for_and_loses_nothing(desk: Desk) -> None:
+    desk.follow(3)
+    desk.put(frames(10, 11))
+    desk.appear(False)
+    for second in range(1, 60):
+        desk.now = float(second)
+        desk.reply(None)
+    assert (desk.recovery.behind, desk.next_seq) == (0, 3)
+    asked = len(desk.asked)
+    desk.appear()
+    assert len(desk.asked) == asked + 1
+    desk.answer(frames(*range(2, 12)))
+    assert desk.next_seq == 12
+    assert desk.trajectory.stream.counters["gaps"] == 0
+
+
+def test_answers_of_no_use_are_asked_for_again(desk: Desk) -> None:
+    desk.appear()
+    limits = Limits().for_replays()
+    for payload in (
+        None,
+        b"nonsense",
+        encode(frames(0)[0]),
+        encode(ReplayReply("cart/1", (), 3, True), limits),
+        encode(ReplayReply(NAME, (), 0, False), limits),
+    ):
+        asked = len(desk.asked)
+        desk.reply(payload)
+        assert len(desk.asked) == asked, "at once, it would be asked in a tight loop"
+        assert 0 < desk.recovery.pause() <= 2
+        desk.now += 2.5
+        desk.turn()
+        assert len(desk.asked) == asked + 1
+    desk.answer(frames(0, 1))
+    assert desk.next_seq == 2
+
+
+def test_an_answer_to_a_former_question_changes_nothing(desk: Desk) -> None:
+    desk.appear()
+    former = desk.asked[-1]
+    desk.appear()
+    late = ReplayReply(NAME, tuple(map(encode, frames(0, 1))), 5, True, EPOCH, 0, EPOCH, 1)
+    desk.reply(encode(late, Limits().for_replays()), former)
+    assert desk.recovery.is_behind(NAME)
+    desk.answer(frames(0, 1, 2))
+    assert (desk.next_seq, desk.recovery.behind) == (3, 0)
+
+
+def test_a_frame_that_the_log_could_not_take_is_folded_all_the_same(desk: Desk) -> None:
+    desk.follow(5)
+    desk.put(frames(5, logged=False))
+    assert (desk.next_seq, len(desk.asked)) == (6, 1)
+    # Frame 6 is lost, and frame 7 is not in the log either: nobody can be asked for it.
+    desk.put(frames(7, logged=False))
+    assert len(desk.asked) == 1
+    desk.put(frames(8))
+    desk.answer(frames(8))
+    desk.put(frames(*range(9, 18)))
+    assert desk.next_seq == 18
+    assert desk.trajectory.stream.counters["missing_frames"] == 1
+
+
+def test_a_source_without_a_log_may_take_a_name_over(desk: Desk) -> None:
+    desk.follow(5)
+    desk.appear(False)
+    desk.put(frames(0, 1, 2, epoch=OTHER, logged=False))
+    assert (desk.trajectory.epoch, desk.next_seq, len(desk.asked)) == (OTHER, 3, 1)
+
+
+def test_messages_that_are_refused_are_not_asked_for_again_and_again(desk: Desk) -> None:
+    """Frames of another renderer: the log was read into their epoch, and nothing came of it."""
+    desk.appear()
+    wrong = frames(*range(20), renderer="another")
+    desk.answer(wrong[:10])
+    desk.put(wrong[10:])
+    assert desk.registry.find(NAME) is None
+    assert (len(desk.asked), desk.recovery.behind) == (1, 0)
+    assert desk.metrics.value("koop_rejected_total", reason="renderer_mismatch") == 20
+
+
+def test_it_remembers_a_bounded_number_of_sources(
+    model: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    desk = Desk(model, most=2)
+    with caplog.at_level(logging.WARNING):
+        for number in range(4):
+            desk.turn(LogPresence(f"cart/{number}", True))
+    assert "there are too many" in caplog.text
+    assert [desk.recovery.is_logged(f"cart/{n}") for n in range(4)] == [True, True, False, False]
+    desk.turn(LogPresence("cart/0", False))
+    desk.reply(None, desk.asked[0])
+    desk.now += 100.0
+    desk.turn()
+    desk.turn(LogPresence("cart/3", True))
+    assert desk.recovery.is_logged("cart/3")
+    assert not desk.recovery.is_logged("cart/0")

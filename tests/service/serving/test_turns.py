@@ -1,0 +1,199 @@
+"""Whose turn it is: order within a trajectory, fairness between them, and nothing lost."""
+
+from __future__ import annotations
+
+from collections import Counter
+from itertools import count
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from koop_service.serving.turns import Arrival, Turns, lane_of
+
+NOW = 1000.0  # s
+BATCH = 64
+
+
+def key(name: str) -> str:
+    return f"koop/frame/00/{name}"
+
+
+class Bench:
+    """Turns with a clock and tickets of its own."""
+
+    def __init__(self, messages: int = 2048, size: int = 1 << 26) -> None:
+        self.known: set[str] | None = None  # None: all of them
+        self.turns = Turns(messages, size, lambda n: self.known is None or n in self.known)
+        self.now = NOW
+        self.tickets = count()
+
+    def put(self, name: str, data: bytes = b"x") -> bool:
+        """False, and nothing happens, where it would have to wait outside."""
+        if self.turns.is_full(name, len(data)):
+            return False
+        self.turns.add(Arrival(key(name), data, next(self.tickets), at=self.now))
+        return True
+
+    def take(self, most: int = BATCH) -> list[str]:
+        return [lane_of(arrival.key) for arrival in self.turns.take(most, self.now)]
+
+
+def test_frames_and_controls_of_a_trajectory_share_a_lane() -> None:
+    assert lane_of("koop/frame/1b/line/3") == lane_of("koop/control/1b/line/3") == "line/3"
+    assert lane_of("nonsense") == "nonsense"
+
+
+steps = st.one_of(
+    st.tuples(st.just("put"), st.sampled_from("abcd")),
+    st.tuples(st.just("take"), st.integers(1, 5)),
+    st.tuples(st.just("short cut"), st.sampled_from("abcd")),
+    st.tuples(st.just("meet"), st.sampled_from("abcd")),
+    st.tuples(st.just("pass"), st.sampled_from([0.0005, 0.003, 0.5, 2.0])),
+)
+
+
+@settings(max_examples=300, deadline=None)
+@given(st.lists(steps, max_size=80), st.integers(0, 10**6))
+def test_every_trajectory_keeps_its_order_and_nothing_is_lost(script: list, before: int) -> None:
+    """Whatever is taken when, also out of turn, and also where a stranger becomes known."""
+    bench, sent, got = Bench(), [], []
+    bench.known = set()
+    for action, value in script:
+        if action == "put":
+            data = bytes([len(sent)])
+            assert bench.put(value, data)
+            sent.append((value, data))
+        elif action == "meet":
+            bench.known.add(value)
+        elif action == "pass":
+            bench.now += value
+        else:
+            turns, now = bench.turns, bench.now
+            due = turns.ready_at(now) <= now
+            taken = (
+                turns.take(value, now) if action == "take" else turns.take_of(value, before, 3, now)
+            )
+            assert action == "short cut" or bool(taken) == due
+            got += [(lane_of(arrival.key), arrival.data) for arrival in taken]
+        left = sent[:]
+        for item in got:
+            left.remove(item)
+        assert len(bench.turns) == len(left)
+        oldest = min((sent.index(item) for item in left), default=float("inf"))
+        assert bench.turns.oldest() == oldest
+    while len(bench.turns):
+        bench.now = max(bench.now, bench.turns.ready_at(bench.now))
+        got += [(lane_of(a.key), a.data) for a in bench.turns.take(3, bench.now)]
+    for name in "abcd":
+        assert [item for item in got if item[0] == name] == [i for i in sent if i[0] == name]
+    assert len(got) == len(sent)
+    assert bench.turns.ready_at(bench.now) == float("inf")
+
+
+def test_who_is_alone_gets_the_whole_batch() -> None:
+    bench = Bench()
+    for _ in range(200):
+        assert bench.put("a")
+    assert bench.take() == ["a"] * BATCH
+    assert bench.take() == ["a"] * BATCH
+
+
+def test_a_backlog_makes_nobody_wait() -> None:
+    bench = Bench()
+    while bench.put("flood"):
+        continue
+    bench.put("a")
+    bench.put("a")
+    batch = bench.take()
+    assert batch.count("a") == 2
+    assert batch.count("flood") == 2
+
+
+def test_a_flood_keeps_a_pace_while_others_are_active() -> None:
+    bench, got = Bench(), Counter()
+    for _ in range(5000):  # five seconds
+        bench.now += 0.001
+        while bench.put("flood"):
+            continue
+        if bench.turns._shares.get("a") is None:
+            bench.put("a")
+        got.update(bench.take())
+    assert 950 < got["flood"] < 1050
+    assert got["a"] > 950
+
+
+def test_who_has_gone_leaves_the_others_alone() -> None:
+    bench = Bench()
+    bench.put("a")
+    for _ in range(100):
+        bench.put("b")
+    assert Counter(bench.take()) == {"a": 1, "b": 2}
+    bench.now += 1.5
+    assert bench.take() == ["b"] * BATCH
+
+
+def test_many_busy_ones_fill_the_batch() -> None:
+    bench = Bench()
+    names = [str(i) for i in range(50)]
+    for _ in range(4):
+        for name in names:
+            bench.put(name)
+    first = bench.take()
+    assert len(first) == BATCH
+    assert set(Counter(first).values()) == {1, 2}
+    assert set(Counter(first + bench.take()).values()) == {2}, "whose turn it was, was forgotten"
+
+
+@pytest.mark.parametrize("data", [b"x", bytes(1 << 20)])
+def test_one_source_cannot_fill_the_queue(data: bytes) -> None:
+    bench = Bench()
+    while bench.put("flood", data):
+        continue
+    assert 8 <= len(bench.turns) <= 256
+    assert bench.put("a", data)
+
+
+def test_strangers_have_one_share_together() -> None:
+    bench = Bench()
+    bench.known = {"a"}
+    names = (f"nobody/{i}" for i in count())
+    while bench.put(next(names)):
+        continue
+    assert len(bench.turns) == 256
+    bench.put("a")
+    assert sum(name != "a" for name in bench.take()) == 2
+
+
+def test_a_short_cut_counts_against_the_pace() -> None:
+    bench = Bench()
+    bench.put("a")
+    for _ in range(9):
+        bench.put("b")
+    assert len(bench.turns.take_of("b", 10**9, BATCH, bench.now)) == 2
+    assert bench.take() == ["a"]
+    bench.now += 0.01
+    assert bench.take() == ["b", "b"]
+
+
+def test_at_the_end_nobody_keeps_a_pace() -> None:
+    bench = Bench()
+    bench.put("a")
+    for _ in range(40):
+        bench.put("b")
+    bench.turns.hurry()
+    assert Counter(bench.take()) == {"a": 1, "b": 40}
+
+
+def test_the_room_is_bounded_for_all_together() -> None:
+    bench = Bench(messages=64)
+    names = (str(i) for i in count())
+    while bench.put(next(names)):
+        continue
+    assert len(bench.turns) == 64
+
+
+def test_one_message_larger_than_the_room_still_passes() -> None:
+    bench = Bench(size=20)
+    assert bench.put("a", bytes(50))
+    assert not bench.put("b", b"x")
