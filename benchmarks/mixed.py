@@ -42,7 +42,7 @@ FLOW, PLANT = "cylinder-actuated/0", "cartpole/{}"
 HORIZON = 20
 SETTLING = 10.0  # s of streaming before anything counts
 INTERVAL = 0.1  # s between two looks at the queue, and between two questions
-PATIENCE = 120.0  # s
+PATIENCE = 300.0  # s
 
 
 def main() -> None:

@@ -96,13 +96,28 @@ def stream(session: zenoh.Session, name: str, frames: int) -> Source:
 
 
 class Witness:
-    """Keys of what somebody received."""
+    """What somebody received."""
 
     def __init__(self) -> None:
-        self.keys: list[str] = []
+        self._seen: list[tuple[str, bytes]] = []
+
+    @property
+    def keys(self) -> list[str]:
+        """Of everything."""
+        return [key for key, _ in self._seen]
+
+    def keys_of(self, payload: bytes) -> list[str]:
+        """Of puts of this payload, and of deletes; what the service says is neither."""
+        return [key for key, found in self._seen if found in (payload, b"")]
+
+    def forget(self) -> None:
+        """Begin anew."""
+        self._seen.clear()
 
     def see(self, message: zenoh.Sample | zenoh.Query) -> None:
-        self.keys.append(str(message.key_expr))
+        """Take it down."""
+        payload = message.payload
+        self._seen.append((str(message.key_expr), b"" if payload is None else payload.to_bytes()))
 
 
 @contextmanager

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 import zenoh
-from integration.loopback import DEADLINE, picture, wait_until
+from integration.loopback import DEADLINE, wait_until
 from integration.secured import (
     EVERYTHING,
     FRAMES,
@@ -63,11 +63,11 @@ def test_a_source_cannot_write_for_another(guarded: Secured) -> None:
             keys += [command_key(OTHER), command_key(ROBOT), durable_key(OTHER), durable_key(ROBOT)]
             keys += [state_key(OTHER), state_key(ROBOT)]
             put_everywhere(robber, keys, encode(forged))
-            assert witness.keys == []
+            assert witness.keys_of(encode(forged)) == []
             assert asking(session).state(OTHER) == before
             source.put(forged)
             assert asking(session).state(OTHER).next_seq == FRAMES + 1
-            assert witness.keys == [frame_key(OTHER)]
+            assert witness.keys_of(encode(forged)) == [frame_key(OTHER)]
 
 
 def test_a_source_cannot_write_for_another_under_its_own_key(guarded: Secured) -> None:
@@ -91,11 +91,13 @@ def test_nobody_but_the_source_puts_frames(guarded: Secured, certificate: str) -
         overhearing(guarded.hub) as witness,
     ):
         source = begin(robot, OTHER)
-        put_everywhere(session, [frame_key(OTHER), "koop/frame/**"], encode(source.frame(0)))
-        assert witness.keys == []
+        payload = encode(source.frame(0))
+        put_everywhere(session, [frame_key(OTHER), "koop/frame/**"], payload)
+        assert witness.keys_of(payload) == []
         source.put(source.frame(0))
+        wait_until(lambda: bool(witness.keys_of(payload)))
         flush(robot)
-        assert witness.keys == [frame_key(OTHER)]
+        assert witness.keys_of(payload) == [frame_key(OTHER)]
 
 
 @pytest.mark.parametrize("certificate", ["wall", "robot7", "recorder"])
@@ -127,7 +129,7 @@ def test_who_owns_no_task_declares_no_token(guarded: Secured, certificate: str) 
             with declaring.liveliness().declare_token(client_token(name)):
                 flush(declaring)
         flush(operator)
-        assert set(witness.keys) == {client_token("somebody")}
+        assert {k for k in witness.keys if "@" in k} == {client_token("somebody")}
 
 
 def test_an_operator_keeps_to_its_trajectories(guarded: Secured) -> None:
@@ -194,10 +196,10 @@ def test_a_certificate_without_rights_gets_in_and_gets_nothing(
         overhearing(session, "**", "koop/@client/*") as heard,
     ):
         put_everywhere(session, [frame_key(ROBOT), frame_key("line3/mine")], b"anything")
+        assert witness.keys_of(b"anything") == []
         silence(lambda: asking(session).state(ROBOT))
         silence(lambda: asking(session).predict_all(5))
         silence(lambda: asking(session).lqr(ROBOT, QUERY))
-        assert witness.keys == []
         # Its own puts come back to it inside its own session; nothing else does.
         assert set(heard.keys) <= {frame_key(ROBOT), frame_key("line3/mine")}
 
@@ -221,8 +223,8 @@ def test_a_certificate_gains_nothing_by_posing_as_a_router(
         assert session.info.routers_zid()
         with overhearing(guarded.hub) as witness:
             put_everywhere(session, [frame_key(OTHER), command_key(OTHER)], forged)
-            assert witness.keys == []
-        heard.keys.clear()  # its own
+            assert witness.keys_of(forged) == []
+        heard.forget()  # its own
         stream(robot, OTHER, 3)
         silence(lambda: asking(session).state(OTHER))
         assert heard.keys == []
@@ -238,12 +240,15 @@ def test_nobody_reads_the_hubs_admin_space(guarded: Secured, certificate: str) -
 
 
 def test_a_message_too_large_for_the_hub_is_dropped_and_the_link_lives(guarded: Secured) -> None:
-    with guarded.session("robot8") as session, overhearing(guarded.hub) as witness:
+    with (
+        guarded.session("robot8") as session,
+        overhearing(guarded.hub, frame_key(OTHER)) as witness,
+    ):
         source = stream(session, OTHER, 1)
         source.put_raw(frame_key(OTHER), bytes(65 << 20))
-        source.put(replace(source.frame(1), image=picture(0, 1)))
+        source.put(source.frame(1))
         flush(session)
-        assert witness.keys == [frame_key(OTHER), frame_key(OTHER)]
+        assert len(witness.keys) == 2
         state = asking(session).state(OTHER)
         assert (state.epoch, state.next_seq) == (source.epoch, 2)
 

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+from hypothesis import HealthCheck, settings
 from hypothesis import strategies as st
 
 from koop_clients.pki.party import Party
+
+patient = settings(deadline=None, suppress_health_check=[HealthCheck.too_slow])
+"""How fast a busy machine is, is not what these tests are about."""
 
 chunks = st.text("abAB019_.-", min_size=1, max_size=4)
 trajectories = st.lists(chunks, min_size=1, max_size=4).map("/".join)

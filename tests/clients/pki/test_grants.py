@@ -23,7 +23,7 @@ from koop_protocol import (
     state_key,
 )
 
-from .names import patterns, trajectories
+from .names import patient, patterns, trajectories
 
 
 def lets(party: Party, flow: str, message: str, key: str) -> bool:
@@ -47,6 +47,7 @@ def written(trajectory: str) -> list[tuple[str, str]]:
     ]
 
 
+@patient
 @given(trajectories, trajectories)
 def test_a_source_writes_its_own_keys_and_no_others(own: str, other: str) -> None:
     assume(own != other)
@@ -55,6 +56,7 @@ def test_a_source_writes_its_own_keys_and_no_others(own: str, other: str) -> Non
     assert not any(lets(party, "ingress", kind, key) for kind, key in written(other))
 
 
+@patient
 @given(trajectories)
 def test_a_source_writes_by_no_wildcard(own: str) -> None:
     party = Party("robot7", publishes=(own,))
@@ -62,6 +64,7 @@ def test_a_source_writes_by_no_wildcard(own: str) -> None:
     assert not any(lets(party, "ingress", "put", key) for key in wild)
 
 
+@patient
 @given(patterns, trajectories)
 def test_a_pattern_lets_through_what_it_matches(pattern: str, trajectory: str) -> None:
     matches = zenoh.KeyExpr(pattern).includes(zenoh.KeyExpr(trajectory))
@@ -70,6 +73,7 @@ def test_a_pattern_lets_through_what_it_matches(pattern: str, trajectory: str) -
         assert lets(party, "ingress", kind, key) == matches
 
 
+@patient
 @given(patterns, trajectories)
 def test_a_viewer_only_asks(pattern: str, trajectory: str) -> None:
     party = Party("wall", views=(pattern,))
@@ -87,6 +91,7 @@ def test_a_viewer_only_asks(pattern: str, trajectory: str) -> None:
     assert lets(party, "ingress", "declare_subscriber", state_key(trajectory)) == matches
 
 
+@patient
 @given(patterns, trajectories)
 def test_nobody_but_the_service_puts_commands(pattern: str, trajectory: str) -> None:
     rights = ("publishes", "operates", "views", "records")
@@ -96,6 +101,7 @@ def test_nobody_but_the_service_puts_commands(pattern: str, trajectory: str) -> 
     assert lets(Party("service", serves=True), "ingress", "put", key)
 
 
+@patient
 @given(patterns, trajectories, st.sampled_from(["publishes", "operates", "views"]))
 def test_frames_reach_none_but_recorders(pattern: str, trajectory: str, right: str) -> None:
     party = Party("robot7", **{right: (pattern,)})

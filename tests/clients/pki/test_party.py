@@ -8,9 +8,10 @@ from hypothesis import given
 
 from koop_clients.pki.party import Party, check_pattern
 
-from .names import patterns, trajectories
+from .names import patient, patterns, trajectories
 
 
+@patient
 @given(trajectories | patterns)
 def test_names_and_patterns_are_key_expressions(pattern: str) -> None:
     check_pattern(pattern)

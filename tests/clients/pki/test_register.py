@@ -10,9 +10,10 @@ from hypothesis import strategies as st
 
 from koop_clients.pki.register import read_parties, to_toml
 
-from .names import parties
+from .names import parties, patient
 
 
+@patient
 @given(st.lists(parties(), max_size=5, unique_by=lambda party: party.name))
 def test_what_is_written_is_read(tmp_path_factory: pytest.TempPathFactory, some) -> None:
     path = tmp_path_factory.getbasetemp() / "parties.toml"

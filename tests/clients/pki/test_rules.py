@@ -15,7 +15,7 @@ from koop_clients.pki.grants import grants_of
 from koop_clients.pki.party import Party
 from koop_clients.pki.rules import BEGIN, END, NoRulesError, access_control, with_rules
 
-from .names import parties
+from .names import parties, patient
 
 some_parties = st.lists(parties(), max_size=4, unique_by=lambda party: party.name)
 
@@ -26,6 +26,7 @@ def read(text: str, folder: Path) -> zenoh.Config:
     return zenoh.Config.from_file(path)
 
 
+@patient
 @given(some_parties)
 def test_zenoh_reads_what_was_meant(tmp_path_factory: pytest.TempPathFactory, some) -> None:
     text = hub_configuration("127.0.0.1", 7447, some)
@@ -39,6 +40,7 @@ def test_zenoh_reads_what_was_meant(tmp_path_factory: pytest.TempPathFactory, so
             assert {key: one[key] for key in other} == other
 
 
+@patient
 @given(some_parties)
 def test_each_party_has_all_of_its_grants_and_no_others(some: list[Party]) -> None:
     rules = access_control(some)
@@ -57,6 +59,7 @@ def test_each_party_has_all_of_its_grants_and_no_others(some: list[Party]) -> No
         ]
 
 
+@patient
 @given(some_parties, some_parties)
 def test_new_rules_replace_the_old_ones_and_nothing_else(some, others) -> None:
     text = hub_configuration("127.0.0.1", 7447, some).replace(

@@ -81,7 +81,7 @@ def test_the_service_calms_a_wake(
 ) -> None:
     """Real processes, the real solver, the bundled model."""
     monkeypatch.setattr(trials, "LEARN", 110)
-    monkeypatch.setattr(trials, "DRIVE", 60)
+    monkeypatch.setattr(trials, "DRIVE", 110)
     wanted = FluidControl(wakes=1, method=("mpc",), out=tmp_path, json=True)
     wanted.check()
     command.run(wanted)

@@ -98,9 +98,7 @@ def test_a_server_that_goes_away_is_told_and_found_again() -> None:
                 store.save(claim, {"a": b"2"})
             with pytest.raises(AwayError):
                 store.save(claim, {"a": b"2"})
-            server_was_asked = store._not_before
-            assert server_was_asked <= now[0] + wait
-            now[0] = server_was_asked
+            now[0] += wait  # it asks again after at most so long
         server.start()
         store.save(claim, {"a": b"3"})
         assert store.load(EVERY_SHARD) == {"a": b"3"}
