@@ -18,8 +18,8 @@ MOST_OVERLOAD = 0.01
 """Share of the questions that may be refused since too many wait: the machine is too slow."""
 LEAST_MINUTES = 2.0
 """In less time memory has not settled."""
-MOST_GROWTH = 1e6
-"""Bytes a minute that memory may grow."""
+MOST_GAINED = 25e6
+"""Bytes that memory may gain over the second half, however long: allocators take in steps."""
 
 
 @dataclass(frozen=True)
@@ -93,7 +93,7 @@ def judge(
         "there were internal errors": internal,
         "no prediction came": not figures["predictions"],
         "no command came": not figures["commands"],
-        "memory grows": minutes >= LEAST_MINUTES and slope > MOST_GROWTH,
+        "memory grows": minutes >= LEAST_MINUTES and slope * minutes / 2 > MOST_GAINED,
         "the service did not end cleanly": exit_code,
     }
     return Verdict(figures, [text for text, bad in complaints.items() if bad])
