@@ -51,7 +51,7 @@ def main() -> None:
         tempfile.TemporaryDirectory() as folder,
         service(Path(folder), *serving(options)) as served,
     ):
-        with streaming(options, served) as streams:
+        with streaming(options, served, Path(folder) / "client.log") as streams:
             watched = watch(options, served, streams)
         figures = figures_of(options, served, streams, watched)
     print_table(figures)
@@ -88,14 +88,14 @@ class Streams:
 
 
 @contextmanager
-def streaming(options: argparse.Namespace, served: Service) -> Iterator[Streams]:
+def streaming(options: argparse.Namespace, served: Service, log: Path) -> Iterator[Streams]:
     """Both kinds under way; at the end all has been put and has arrived."""
     context = multiprocessing.get_context("spawn")
     stop, sent = context.Event(), context.Value("q", 0)
     arguments = (served.endpoint, options.streams, stop, sent)
     mechanical = context.Process(target=put_mechanical, args=arguments)
     mechanical.start()
-    streams = Streams(cylinder_client(options, served), sent)
+    streams = Streams(cylinder_client(options, served, log), sent)
     try:
         await_both(served, options.streams)
         yield streams
@@ -104,15 +104,20 @@ def streaming(options: argparse.Namespace, served: Service) -> Iterator[Streams]
         streams.cylinder.terminate()  # which it takes for Ctrl-C: it says what it has done
         said, _ = streams.cylinder.communicate(timeout=PATIENCE)
         mechanical.join()
+    if streams.cylinder.returncode != 0:
+        raise RuntimeError(f"koop-sim-client failed: {log.read_text()[-2000:]}")
     streams.flow = json.loads(said.splitlines()[-1])
 
 
-def cylinder_client(options: argparse.Namespace, served: Service) -> subprocess.Popen[str]:
+def cylinder_client(
+    options: argparse.Namespace, served: Service, log: Path
+) -> subprocess.Popen[str]:
     rate = str(options.flow_rate * FRAME_INTERVAL)
     command = [sys.executable, "-m", "koop_clients.sim_client.cli", "--system", "cylinder"]
     command += ["--actuated", "--duration", "0", "--rate", rate, "--json"]
     command += ["--connect", served.endpoint]
-    return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
+    with log.open("w") as errors:
+        return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=errors, text=True)
 
 
 def put_mechanical(endpoint: str, count: int, stop: Event, sent: Any) -> None:
