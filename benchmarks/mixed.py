@@ -115,7 +115,8 @@ def cylinder_client(
     rate = str(options.flow_rate * FRAME_INTERVAL)
     command = [sys.executable, "-m", "koop_clients.sim_client.cli", "--system", "cylinder"]
     command += ["--actuated", "--duration", "0", "--rate", rate, "--json"]
-    command += ["--connect", served.endpoint]
+    # It asks once, at its beginning; from then on the one who asks is `watch`.
+    command += ["--ask-every", "1e9", "--connect", served.endpoint]
     with log.open("w") as errors:
         return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=errors, text=True)
 
