@@ -14,7 +14,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
-from integration.loopback import DEADLINE, Source, client, slowness
+from integration.loopback import DEADLINE, Source, client, slowness, wait_until
 
 from koop_protocol import PredictReply, StateReply, decode
 
@@ -127,11 +127,13 @@ def test_metrics_are_served_on_loopback(options: list[object]) -> None:
             source.stream(40)
             source.put_raw("koop/frame/00/nonsense", b"nonsense")
             ask(session, "koop/predict/cart/0")
-        text = urllib.request.urlopen(f"http://127.0.0.1:{port}/metrics").read().decode()
+        # A prediction waits for its own trajectory's messages, and for nobody else's.
+        rejected = 'koop_rejected_total{reason="malformed"} 1.0'
+        wait_until(lambda: rejected in metrics_at(port), rejected)
+        text = metrics_at(port)
         logged = stop(process, signal.SIGTERM)
     assert "koop_frames_total 40.0" in text
     assert "koop_controls_total 39.0" in text
-    assert 'koop_rejected_total{reason="malformed"} 1.0' in text
     assert "koop_trajectories_ready 1.0" in text
     assert 'koop_query_seconds_count{kind="predict"}' in text
     assert "cart/0" not in text
@@ -148,6 +150,10 @@ def test_an_impossible_endpoint_is_explained(tmp_path: Path) -> None:
     assert result.returncode == 1
     assert "cannot open the Zenoh session on tcp/256.0.0.1:1" in result.stderr
     assert "Traceback" not in result.stderr
+
+
+def metrics_at(port: str) -> str:
+    return urllib.request.urlopen(f"http://127.0.0.1:{port}/metrics").read().decode()
 
 
 def ask(session, selector: str):

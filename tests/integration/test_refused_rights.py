@@ -95,6 +95,7 @@ def test_nobody_but_the_source_puts_frames(guarded: Secured, certificate: str) -
         put_everywhere(session, [frame_key(OTHER), "koop/frame/**"], payload)
         assert witness.keys_of(payload) == []
         source.put(source.frame(0))
+        wait_until(lambda: bool(witness.keys_of(payload)))
         flush(robot)
         assert witness.keys_of(payload) == [frame_key(OTHER)]
 

@@ -23,6 +23,8 @@ _PART = 8
 _LEAST_MESSAGES, _LEAST_SIZE = 64, 1 << 20
 _PACE = 0.005
 """While others are active, a share gets one measurement in this time [s] on the average, ..."""
+_STRANGERS_PACE = _PACE / 20
+"""The same of all strangers together: many robots may be switched on at once."""
 _BURST = 2
 """... and this many at once, such as a frame and its control: others wait for what is in work."""
 _ACTIVE = 1.0
@@ -231,7 +233,8 @@ class Turns:
     def _pay(self, name: str, now: float) -> None:
         activity = self._active.get(name)
         if activity:
-            activity.paid = max(activity.paid, now) + _PACE
+            pace = _STRANGERS_PACE if name == _STRANGERS else _PACE
+            activity.paid = max(activity.paid, now) + pace
 
 
 def _exceeds(messages: int, size: int, max_messages: int, max_size: int) -> bool:

@@ -20,6 +20,11 @@ names = st.from_regex(r"[a-z0-9]{1,3}(/[A-Z_.-]{1,40}){0,2}", fullmatch=True)
 records = st.dictionaries(names, st.binary(max_size=200), max_size=8)
 
 
+_SHARED = [HealthCheck.function_scoped_fixture, HealthCheck.differing_executors]
+"""One store serves all examples, which is why each begins by emptying it; and each kind of store
+runs the same test."""
+
+
 def name_of(shard: str) -> str:
     return next(f"cart/{i}" for i in range(10_000) if shard_of(f"cart/{i}") == shard)
 
@@ -28,9 +33,7 @@ class StoreContract:
     """The tests; `store` is a new one."""
 
     @given(st.lists(records, max_size=4))
-    @settings(
-        max_examples=30, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
-    )
+    @settings(max_examples=30, deadline=None, suppress_health_check=_SHARED)
     def test_what_was_saved_last_is_loaded(
         self, store: SnapshotStore, batches: list[dict[str, bytes]]
     ) -> None:
