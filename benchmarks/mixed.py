@@ -40,9 +40,11 @@ RATE = 20.0  # frames/s of a mechanical stream
 DRAWN = 60  # frames of each, shown to and fro
 FLOW, PLANT = "cylinder-actuated/0", "cartpole/{}"
 HORIZON = 20
-SETTLING = 10.0  # s of streaming before anything counts
+SETTLING = 10.0  # s of streaming before anything counts, ...
+EMPTY, CATCHING_UP = 5, 60.0  # ... and until so few messages wait, or so many seconds have passed
 INTERVAL = 0.1  # s between two looks at the queue, and between two questions
 PATIENCE = 300.0  # s
+FOLDED, HELD = "koop_frames_total", "koop_held_total"
 
 
 def main() -> None:
@@ -51,7 +53,7 @@ def main() -> None:
         tempfile.TemporaryDirectory() as folder,
         service(Path(folder), *serving(options)) as served,
     ):
-        with streaming(options, served) as streams:
+        with streaming(options, served, Path(folder) / "client.log") as streams:
             watched = watch(options, served, streams)
         figures = figures_of(options, served, streams, watched)
     print_table(figures)
@@ -88,14 +90,14 @@ class Streams:
 
 
 @contextmanager
-def streaming(options: argparse.Namespace, served: Service) -> Iterator[Streams]:
+def streaming(options: argparse.Namespace, served: Service, log: Path) -> Iterator[Streams]:
     """Both kinds under way; at the end all has been put and has arrived."""
     context = multiprocessing.get_context("spawn")
     stop, sent = context.Event(), context.Value("q", 0)
     arguments = (served.endpoint, options.streams, stop, sent)
     mechanical = context.Process(target=put_mechanical, args=arguments)
     mechanical.start()
-    streams = Streams(cylinder_client(options, served), sent)
+    streams = Streams(cylinder_client(options, served, log), sent)
     try:
         await_both(served, options.streams)
         yield streams
@@ -104,15 +106,21 @@ def streaming(options: argparse.Namespace, served: Service) -> Iterator[Streams]
         streams.cylinder.terminate()  # which it takes for Ctrl-C: it says what it has done
         said, _ = streams.cylinder.communicate(timeout=PATIENCE)
         mechanical.join()
+    if streams.cylinder.returncode != 0:
+        raise RuntimeError(f"koop-sim-client failed: {log.read_text()[-2000:]}")
     streams.flow = json.loads(said.splitlines()[-1])
 
 
-def cylinder_client(options: argparse.Namespace, served: Service) -> subprocess.Popen[str]:
+def cylinder_client(
+    options: argparse.Namespace, served: Service, log: Path
+) -> subprocess.Popen[str]:
     rate = str(options.flow_rate * FRAME_INTERVAL)
     command = [sys.executable, "-m", "koop_clients.sim_client.cli", "--system", "cylinder"]
     command += ["--actuated", "--duration", "0", "--rate", rate, "--json"]
-    command += ["--connect", served.endpoint]
-    return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
+    # It asks once, at its beginning; from then on the one who asks is `watch`.
+    command += ["--ask-every", "1e9", "--connect", served.endpoint]
+    with log.open("w") as errors:
+        return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=errors, text=True)
 
 
 def put_mechanical(endpoint: str, count: int, stop: Event, sent: Any) -> None:
@@ -141,7 +149,8 @@ def _to_and_fro(frames: np.ndarray) -> np.ndarray:
 def await_both(served: Service, count: int) -> None:
     """Until predictions of the flow and of the last plant are answered, and some time more.
 
-    Where no flow is kept from an earlier run, its wake must develop first.
+    Where no flow is kept from an earlier run, its wake must develop first. While the service loads
+    the flow's model, at its first frame, measurements wait.
     """
     deadline = time.monotonic() + PATIENCE
     with open_session(served.endpoint) as session:
@@ -152,6 +161,9 @@ def await_both(served: Service, count: int) -> None:
                     raise RuntimeError(f"no prediction of {name} in {PATIENCE:g} s")
                 time.sleep(INTERVAL)
     time.sleep(SETTLING)
+    deadline = time.monotonic() + CATCHING_UP
+    while served.metric("koop_queue_messages") > EMPTY and time.monotonic() < deadline:
+        time.sleep(INTERVAL)
 
 
 def _answers(client: KoopClient, name: str) -> bool:
@@ -167,11 +179,13 @@ def _answers(client: KoopClient, name: str) -> bool:
 
 @dataclass
 class Watched:
-    """Of the time that counts: its length [s], the queue's lengths, the answers' times [s], what
-    was refused, and the processor time of the service and of the flow's client [s]."""
+    """Of the time that counts: its length [s], frames folded, how often a source was held back, the
+    queue's lengths, the answers' times [s], what was refused, and the processor time of the service
+    and of the flow's client [s]."""
 
     seconds: float = 0.0
     frames: int = 0
+    held: int = 0
     queue: list[float] = field(default_factory=list)
     asked: dict[str, list[float]] = field(default_factory=lambda: {"flow": [], "plants": []})
     refused: list[str] = field(default_factory=list)
@@ -182,8 +196,8 @@ class Watched:
 def watch(options: argparse.Namespace, served: Service, streams: Streams) -> Watched:
     """Ask in turn for the flow and for one of the plants, and look at the queue."""
     found, choose = Watched(), np.random.default_rng(0)
-    busy, frames = (lambda: (served.busy(), seconds_of(streams.cylinder))), "koop_frames_total"
-    before, folded = busy(), served.metric(frames)
+    busy, names = (lambda: (served.busy(), seconds_of(streams.cylinder))), (FOLDED, HELD)
+    before, counted = busy(), [served.metric(name) for name in names]
     start = time.monotonic()
     with open_session(served.endpoint) as session:
         client = KoopClient(session, timeout=PATIENCE)
@@ -194,7 +208,8 @@ def watch(options: argparse.Namespace, served: Service, streams: Streams) -> Wat
                 _time(found, kind, lambda name=name: client.predict(name, HORIZON))
             time.sleep(max(0.0, start + now + INTERVAL - time.monotonic()))
     found.seconds = time.monotonic() - start
-    found.frames = int(served.metric(frames) - folded)
+    now_counted = [served.metric(name) for name in names]
+    found.frames, found.held = (int(b - a) for a, b in zip(counted, now_counted, strict=True))
     found.service_busy, found.client_busy = np.subtract(busy(), before)
     return found
 
@@ -214,7 +229,7 @@ def figures_of(
     """All streams have ended: what they put must have been folded by now."""
     put = streams.sent.value + streams.flow["frames"]
     deadline = time.monotonic() + PATIENCE
-    while served.metric("koop_frames_total") < put and time.monotonic() < deadline:
+    while served.metric(FOLDED) < put and time.monotonic() < deadline:
         time.sleep(INTERVAL)
     if watched.refused:
         print(f"{len(watched.refused)} queries were refused, the last: {watched.refused[-1]}")
@@ -226,9 +241,9 @@ def figures_of(
         "frames_per_s": watched.frames / watched.seconds,
         "flow_frames_per_s": streams.flow["frames_per_s"],
         "put": put,
-        "lost": put - served.metric("koop_frames_total"),
+        "lost": put - served.metric(FOLDED),
         "rejected": served.metric("koop_rejected_total"),
-        "held_back": served.metric("koop_held_total"),
+        "held_back": watched.held,
         "queue_first": float(thirds[0].mean()),
         "queue_last": float(thirds[-1].mean()),
         "queue_max": max(watched.queue),

@@ -168,10 +168,31 @@ class Turns:
 
     def _share_of(self, lane: str) -> str:
         waiting = self._lanes.get(lane)
-        if waiting:
-            # A lane that became known meanwhile stays where its first ones are: in their order.
+        if waiting and waiting[-1].share != _STRANGERS:
             return waiting[-1].share
-        return lane if self._known(lane) else _STRANGERS
+        if not self._known(lane):
+            return _STRANGERS
+        if waiting:
+            self._settle(lane, waiting)
+        return lane
+
+    def _settle(self, lane: str, waiting: deque[Arrival]) -> None:
+        """What waits of a lane that has become known goes on in a share of its own.
+
+        Left with the strangers, it would keep their one pace as long as some of it waits there: for
+        ever, where several sources begin at once.
+        """
+        strangers, own = self._shares[_STRANGERS], self._shares.setdefault(lane, _Share())
+        strangers.queue = deque(a for a in strangers.queue if a.taken or lane_of(a.key) != lane)
+        for arrival in waiting:
+            arrival.share = lane
+            own.queue.append(arrival)
+        size = sum(len(arrival.data) for arrival in waiting)
+        strangers.messages, strangers.size = (
+            strangers.messages - len(waiting),
+            strangers.size - size,
+        )
+        own.messages, own.size = own.messages + len(waiting), own.size + size
 
     def _take_one(self, name: str, now: float) -> list[Arrival]:
         """The share's oldest, if it still has one; then it is at the end of the line."""

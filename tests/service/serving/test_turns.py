@@ -167,6 +167,30 @@ def test_strangers_have_one_share_together() -> None:
     assert sum(name != "a" for name in taken) == 20, "twenty times the pace of one who is known"
 
 
+def test_many_that_begin_at_once_do_not_stay_strangers() -> None:
+    """50 cameras at 20 Hz beside one that is known; a service that keeps up sees no queue."""
+    bench = Bench()
+    bench.known = {"old"}
+    for step in range(3000):
+        bench.now += 0.001
+        for name in [f"new/{step % 50}"] + ["old"] * (step % 50 == 0):
+            assert bench.put(name) or step < 1000
+        bench.known.update(bench.take())
+        assert len(bench.turns) == 0 or step < 1000
+
+
+def test_what_waits_of_a_stranger_that_becomes_known_leaves_room_for_the_others() -> None:
+    bench = Bench()
+    bench.known = set()
+    while bench.put("a", b"1"):
+        continue
+    assert not bench.put("b")
+    bench.known.add("a")
+    assert not bench.put("a")
+    assert bench.put("b")
+    assert len(bench.turns) == 257
+
+
 def test_a_short_cut_counts_against_the_pace() -> None:
     bench = Bench()
     bench.put("a")
