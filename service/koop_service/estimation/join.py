@@ -83,16 +83,17 @@ class ControlJoin:
         return seq + 1 >= self._next_seq or any(window.seq == seq for window in self._windows)
 
     def gives_up(self, frames: int) -> int | None:
-        """Highest control that `frames` more frames would give up waiting for, or None."""
+        """Highest control that has not come, and `frames` more frames would be too late for.
+
+        A window waits for its control. A run's first controls have none: their turn is over with
+        the next frame, and all that they change is the count of controls.
+        """
         if self._settings.control_size == 0:
             return None
-        late = (
-            window.seq
-            for window in self._windows
-            if self.frames + frames - window.folded > self._limit
-            and window.seq not in self._controls
-        )
-        return max(late, default=None)
+        late = [w.seq for w in self._windows if self.frames + frames - w.folded > self._limit]
+        early = range(min(frames, self._settings.history - len(self._run)) if self._run else 0)
+        late += [self._next_seq - 1 + ahead for ahead in early]
+        return max((seq for seq in late if seq not in self._controls), default=None)
 
     def add_control(self, seq: int, u: Array) -> list[Transition]:
         """Take a needed control (p,); the transitions that it completes."""

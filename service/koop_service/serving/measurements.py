@@ -174,7 +174,7 @@ class Measurements:
     def _fold_one(self, item: _Accepted) -> bool:
         message = item.message
         try:
-            if not self._is_next(item):
+            if not self._recovery.folds(item.arrival, message, item.trajectory):
                 return False
             if isinstance(message, Control):
                 item.trajectory.fold_control(message)
@@ -189,12 +189,6 @@ class Measurements:
         else:
             return True
         return False
-
-    def _is_next(self, item: _Accepted) -> bool:
-        """Whether the fold may take it now; a live message that comes too early is held."""
-        if item.arrival.replayed:
-            return True
-        return self._recovery.folds(item.arrival, item.message, item.trajectory)
 
     def _encode(self, items: list[_Accepted]) -> None:
         """Compute the codes, all frames of one model together."""

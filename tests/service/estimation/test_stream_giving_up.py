@@ -20,9 +20,10 @@ def test_nothing_is_given_up_without_being_foretold(messages, control_size, limi
             continue
         known, foretold = stream.knows_frame(message.seq), stream.lacks(message.seq)
         first, before = stream.replay_from, dict(stream.counters)
+        awaited = [k for k in range(24) if control_size and not stream.knows_control(k)]
         feed(stream, [message])
         changed = any(stream.counters[name] != before[name] for name in GIVEN_UP)
-        if changed and not known:
+        if (changed or any(map(stream.knows_control, awaited))) and not known:
             assert foretold is not None
             assert first < foretold <= max(message.seq, stream.next_seq - 1)
 

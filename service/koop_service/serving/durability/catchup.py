@@ -77,15 +77,15 @@ class CatchUp:
         """When all before it in the batch is folded."""
         if trajectory.knows(message):
             return Verdict.known
+        if not self.following:  # since a message before it in this batch was held
+            return Verdict.hold
         if isinstance(message, Control) or message.epoch != trajectory.stream.epoch:
             return Verdict.fold
         lacked = trajectory.stream.lacks(message.seq)
-        if lacked is None or (self.following and not message.logged):
+        if lacked is None or not message.logged:
             return Verdict.fold
         before = Place(message.epoch, lacked)
-        if self.following and self._log_lacks(before):
-            return Verdict.fold
-        return self._hold(before)
+        return Verdict.fold if self._log_lacks(before) else self._hold(before)
 
     def question(self, trajectory: Trajectory | None, largest: int) -> ReplayQuery:
         """What to ask the log now; `largest`: of a single message [bytes]."""
@@ -105,8 +105,7 @@ class CatchUp:
                 self.seen = Place(reply.last_epoch, reply.last_seq)
 
     def _hold(self, doubt: Place) -> Verdict:
-        if self.following:
-            self.following, self.position, self.doubt = False, None, doubt
+        self.following, self.position, self.doubt = False, None, doubt
         return Verdict.hold
 
     def _log_lacks(self, frame: Place) -> bool:

@@ -165,6 +165,13 @@ class Recovery:
             return None
         return source or self._sources.setdefault(name, _Source(name))
 
+    def _leave(self, source: _Source) -> None:
+        """Its log is gone, and its frames do not speak of one: from now on it is as any other."""
+        source.asked = None
+        del self._sources[source.name]
+        self._behind.pop(source.name, None)
+        self._metrics.deferred.inc(len(self._holding.release(source.name)))
+
     def _forget_one(self) -> bool:
         """Forget a source that is gone, the one known longest; whether there was any."""
         gone = (s.name for s in self._sources.values() if not s.here and not self.is_behind(s.name))
@@ -271,6 +278,11 @@ class Recovery:
         if reply is None or source.asked != replay.number:
             return []
         self._tell_dropped(source, reply)
+        try:
+            self._registry.find(source.name)
+        except ProtocolError as error:  # so nothing could be folded either
+            self._fail(source, str(error))
+            return []
         source.asked, source.again = None, 0.0
         source.catch_up.advance(reply)
         if not reply.end:
@@ -301,17 +313,18 @@ class Recovery:
         source = self._sources.get(message.trajectory)
         if source is None and is_logged:
             source = self._source(message.trajectory)
-        if (
-            source is None
-            or source.mute
-            or (isinstance(message, Frame) and not is_logged and not source.here)
-        ):
+        if source is not None and isinstance(message, Frame) and not (is_logged or source.here):
+            self._leave(source)
+            source = None
+        if source is None or source.mute:
             return True
         trajectory = self._registry.find(message.trajectory)
         return self._obey(source, source.catch_up.at_the_door(message, trajectory), arrival)
 
     def folds(self, arrival: Arrival, message: Frame | Control, trajectory: Trajectory) -> bool:
-        """The same, when all before it in its batch is folded."""
+        """The same of any message, when all before it in its batch is folded."""
+        if arrival.replayed:
+            return not trajectory.knows(message)  # another answer brought it too
         source = self._sources.get(message.trajectory)
         if source is None or source.mute:
             return True

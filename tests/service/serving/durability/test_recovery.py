@@ -9,7 +9,15 @@ import pytest
 from integration.loopback import RENDERER, control, picture, write_model
 from integration.undisturbed import arrival_of, registry_of
 
-from koop_protocol import Control, Frame, Limits, ReplayQuery, ReplayReply, encode
+from koop_protocol import (
+    Control,
+    Frame,
+    Limits,
+    ProtocolError,
+    ReplayQuery,
+    ReplayReply,
+    encode,
+)
 from koop_service.serving.config import EstimatorChoices
 from koop_service.serving.durability.news import LogAnswer, LogPresence, LogQuestion
 from koop_service.serving.durability.recovery import Recovery
@@ -320,3 +328,79 @@ def test_it_remembers_a_bounded_number_of_sources(
     desk.turn(LogPresence("cart/3", True))
     assert desk.recovery.is_logged("cart/3")
     assert not desk.recovery.is_logged("cart/0")
+
+
+def test_answers_that_overlap_are_counted_once(desk: Desk) -> None:
+    """The token came anew while an answer waited for its turn."""
+    desk.appear()
+    first = desk.asked[-1]
+    told = ReplayReply(NAME, tuple(map(encode, frames(0, 1, 2))), 9, True, EPOCH, 0, EPOCH, 2)
+    payload = encode(told, Limits().for_replays())
+    desk.recovery.attend([LogAnswer(first, payload), LogPresence(NAME, True)])
+    desk.recovery.attend([LogAnswer(desk.asked[-1], payload)])
+    replays = desk.recovery.take(64)
+    desk.measurements.process([arrival for replay in replays for arrival in replay.arrivals])
+    for replay in replays:
+        desk.recovery.finish(replay)
+    assert (len(replays), desk.next_seq, desk.recovery.behind) == (2, 3, 0)
+    assert desk.trajectory.counters()["duplicates"] == 0
+
+
+def test_controls_that_come_with_a_frame_that_is_held_are_held_too(desk: Desk) -> None:
+    """Far more of them than the fold keeps ahead of the frames."""
+    desk.follow(3, controls=True)
+    late = frames(*range(4, 200), controls=True)
+    desk.measurements.process([arrival_of(message) for message in late])
+    desk.turn()
+    sent = frames(*range(3, 35), controls=True)
+    while desk.recovery.behind:
+        desk.answer(sent, end=len(sent) < 64, position=desk.asked[-1].number + 9)
+        following = range(desk.next_seq, min(desk.next_seq + 32, 200))
+        sent = frames(*following, controls=True)
+    counters = desk.trajectory.counters()
+    assert (counters["frames"], counters["controls"], counters["gaps"]) == (200, 200, 0)
+
+
+def test_a_first_control_that_got_lost_is_asked_for(desk: Desk) -> None:
+    """No transition waits for it, but it counts."""
+    desk.follow(1, controls=False)
+    first, lost, second = frames(0, 1, controls=True, epoch=OTHER)[:3]
+    desk.put([first])
+    desk.answer([first])
+    desk.put([second])
+    desk.answer([first, lost, second])
+    counters = desk.trajectory.counters()
+    assert (desk.next_seq, counters["controls"]) == (2, 1)
+
+
+def test_a_source_that_comes_back_without_its_log_is_taken_as_any_other(desk: Desk) -> None:
+    desk.follow(3, controls=True)
+    desk.appear(here=False)
+    asked = len(desk.asked)
+    plain = frames(*range(12), controls=True, epoch=OTHER, logged=False)
+    desk.measurements.process([arrival_of(message) for message in plain])
+    desk.turn()
+    assert (desk.next_seq, desk.trajectory.counters()["controls"]) == (12, 15)
+    assert (len(desk.asked), desk.recovery.is_logged(NAME)) == (asked, False)
+    desk.appear()
+    assert desk.recovery.is_behind(NAME)
+
+
+def test_what_could_not_be_folded_is_asked_for_again(
+    desk: Desk, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Such as while the disk, where the trajectory is, cannot be read."""
+
+    def fail(_: str) -> None:
+        raise ProtocolError("internal", "the disk cannot be read")
+
+    desk.follow(3)
+    desk.put(frames(5))
+    with monkeypatch.context() as broken:
+        broken.setattr(desk.registry, "find", fail)
+        desk.answer(frames(2, 3, 4, 5))
+    assert desk.recovery.is_behind(NAME)
+    desk.now += 1.0
+    desk.turn()
+    desk.answer(frames(2, 3, 4, 5))
+    assert (desk.next_seq, desk.trajectory.counters()["gaps"], desk.recovery.behind) == (6, 0, 0)
