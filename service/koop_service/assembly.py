@@ -22,6 +22,7 @@ from koop_service.serving.durability.keeper import Keeper
 from koop_service.serving.durability.log_reader import LogReader
 from koop_service.serving.durability.opening import claim_and_load, open_store
 from koop_service.serving.durability.recovery import Recovery
+from koop_service.serving.durability.retention import Retention
 from koop_service.serving.durability.snapshotter import Snapshotter
 from koop_service.serving.endings import Endings
 from koop_service.serving.endpoint import Endpoint, put_command, put_durable, put_notice
@@ -49,6 +50,8 @@ from koop_service.serving.strain import MEMORY, QUEUE, Strain
 from koop_service.serving.vitals import Vitals, worker_name
 from koop_service.serving.watchdog import Watchdog, give_up
 
+_DAY = 86400.0
+"""Seconds."""
 _LAST_BATCH = 0.7
 """Seconds that a stopping service waits for the batch in work."""
 _LAST_ANSWERS = 0.3
@@ -116,7 +119,10 @@ def running(
         claim, records = taken
         restored = kit.registry.restore(records)
         gc.freeze()  # what was restored lives long, too
-        keeper = Keeper(store, claim, partial(put_durable, session), kit.metrics, stop.set)
+        after = _DAY * config.durability.forget_after
+        retention = Retention(store, claim, after, kit.registry.__contains__, kit.metrics)
+        put = partial(put_durable, session)
+        keeper = Keeper(store, claim, put, kit.metrics, stop.set, retention)
         with ExitStack() as stack:
             keeper.start()
             stack.callback(keeper.stop)

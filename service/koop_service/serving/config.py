@@ -190,10 +190,16 @@ class DurabilitySettings:
     """Time between two snapshots of all estimators that have changed; 0 takes one at the end only.
     Sources that keep a log need not keep what is in a snapshot."""
 
+    forget_after: Annotated[float, arg(metavar="DAYS")] = 0.0
+    """Time without a message or a query after which a trajectory's state is deleted from the disk;
+    0 keeps all of them for ever."""
+
     def __post_init__(self) -> None:
-        every = self.snapshot_every
+        every, days = self.snapshot_every, self.forget_after
         if not (math.isfinite(every) and (every == 0 or every >= 0.1)):
             raise ValueError(f"snapshot_every is {every}; expected 0, or 0.1 s or more")
+        if not (math.isfinite(days) and days >= 0):
+            raise ValueError(f"forget_after is {days}; expected 0, or a number of days above it")
 
 
 @dataclass(frozen=True)

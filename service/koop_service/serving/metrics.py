@@ -33,6 +33,7 @@ class Metrics:
             "deferred", "Live messages passed over while the logs of their sources were read"
         )
         self.snapshots = self._counter("snapshots", "States of trajectories stored")
+        self.forgotten = self._counter("forgotten", "States deleted, unheard of for too long")
         self.unstored = self._counter("unstored", "Batches of states that could not be stored")
         self.batch = Histogram(
             "koop_batch_frames",

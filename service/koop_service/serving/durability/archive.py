@@ -49,6 +49,6 @@ class Archive:
         sealed = self._find(name)
         return None if sealed is None else unseal(sealed)
 
-    def remove(self, name: str) -> bool:
-        """It came back; whether it was not on the disk yet."""
-        return self._leaving.pop(name, None) is not None
+    def remove(self, name: str) -> None:
+        """It came back."""
+        self._leaving.pop(name, None)

@@ -19,7 +19,7 @@ import lmdb
 from koop_service.serving.durability.sealing import is_whole
 
 FORMAT_KEY = b"format"
-RECORDS, OWNERS = b"records", b"owners"
+RECORDS, OWNERS, TIMES = b"records", b"owners", b"times"
 _PATIENCE = 120.0
 """Longest time that it may take [s]; a gigabyte takes about two."""
 

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from koop_protocol import Durable, durable_key, encode
+from koop_service.serving.durability.retention import Retention
 from koop_service.serving.durability.sealing import seal
 from koop_service.serving.durability.store import Claim, FencedError, SnapshotStore, StoreError
 from koop_service.serving.logs import Brake
@@ -44,6 +45,7 @@ class Keeper:
         put: Callable[[str, bytes], None],
         metrics: Metrics,
         fenced: Callable[[], None] = lambda: None,
+        retention: Retention | None = None,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self._store = store
@@ -51,6 +53,7 @@ class Keeper:
         self._put = put
         self._metrics = metrics
         self._fenced = fenced
+        self._retention = retention
         self._clock = clock
         self._brake = Brake()
         self._batch: dict[str, Snapshot] | None = None
@@ -107,10 +110,15 @@ class Keeper:
     def _run(self) -> None:
         while True:
             with self._work:
-                self._work.wait_for(lambda: self._batch is not None or self._stopping)
-                batch = self._batch
+                self._work.wait_for(
+                    lambda: self._batch is not None or self._stopping, self._patience()
+                )
+                batch, stopping = self._batch, self._stopping
             if batch is None:
-                return
+                if stopping:
+                    return
+                self._retain()
+                continue
             started = self._clock()
             stored = self._store_all(batch)
             with self._work:
@@ -121,6 +129,19 @@ class Keeper:
             if stored:
                 self._metrics.storing.observe(self._clock() - started)
                 self._acknowledge(batch)
+
+    def _patience(self) -> float | None:
+        """How long to wait for a batch [s]."""
+        return None if self._retention is None or self._is_fenced else self._retention.pause()
+
+    def _retain(self) -> None:
+        if self._retention is not None:
+            try:
+                self._retention.step()
+            except FencedError as error:
+                self._complain(error)
+            except Exception:
+                log.exception("old states could not be deleted; they are looked at again later")
 
     def _store_all(self, batch: Mapping[str, Snapshot]) -> bool:
         """Whether it is on the disk."""

@@ -10,6 +10,7 @@ from __future__ import annotations
 import fcntl
 import logging
 import os
+import struct
 import threading
 import time
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
@@ -26,6 +27,7 @@ from koop_service.serving.durability.inspection import (
     FORMAT_KEY,
     OWNERS,
     RECORDS,
+    TIMES,
     why_unfit,
 )
 from koop_service.serving.durability.store import Claim, FencedError, StoreError
@@ -36,6 +38,8 @@ _FILE = "estimators.lmdb"
 _USERS = "estimators.lmdb-users"
 """Locked by whoever has the file open, together, or alone to set it aside."""
 _FORMAT = b"koop-state-1"
+_TIME = struct.Struct("<d")
+"""When a record was saved, in seconds since 1970."""
 _FIRST_SIZE = 64 << 20
 """Size of the map to begin with [bytes]; it doubles when it is full. The file is not larger than
 what is in it."""
@@ -45,11 +49,13 @@ class LmdbStore:
     """Records in `folder`, which is made where it is missing.
 
     Raises StoreError where the folder or the file cannot be used. A file that is damaged, or of
-    another version, is renamed, with a line in the log, and a new one takes its place.
+    another version, is renamed, with a line in the log, and a new one takes its place. `clock`, of
+    seconds since 1970, dates the records.
     """
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, clock: Callable[[], float] = time.time) -> None:
         self._path = folder / _FILE
+        self._clock = clock
         self._environment: lmdb.Environment | None = None
         self._records: Any = None
         # Held where nobody may be reading: while the map grows, and while the file is opened anew.
@@ -81,7 +87,7 @@ class LmdbStore:
         with self._opened() as environment:
             records = environment.open_db(RECORDS)
             with environment.begin(db=records) as transaction:
-                return dict(islice(_records_in(transaction, shards), most))
+                return dict(islice(_entries(transaction, records, shards), most))
 
     def find(self, name: str) -> bytes | None:
         """See SnapshotStore."""
@@ -97,20 +103,38 @@ class LmdbStore:
     def save(self, claim: Claim, records: Mapping[str, bytes]) -> None:
         """See SnapshotStore."""
 
-        def put(transaction: lmdb.Transaction) -> None:
+        now = _TIME.pack(self._clock())
+
+        def put(transaction: lmdb.Transaction, times: Any) -> None:
             for name, record in records.items():
                 transaction.put(_key(name), record)
+                transaction.put(_key(name), now, db=times)
 
         self._change(claim, records, put)
 
     def delete(self, claim: Claim, names: Collection[str]) -> None:
         """See SnapshotStore."""
 
-        def delete(transaction: lmdb.Transaction) -> None:
+        def delete(transaction: lmdb.Transaction, times: Any) -> None:
             for name in names:
                 transaction.delete(_key(name))
+                transaction.delete(_key(name), db=times)
 
         self._change(claim, names, delete)
+
+    def silent(self, shards: Collection[str], seconds: float) -> list[str]:
+        """See SnapshotStore. A record without a date, of an earlier koop's, gets today's."""
+        now = self._clock()
+
+        def look(environment: lmdb.Environment) -> list[str]:
+            times, records = environment.open_db(TIMES), environment.open_db(RECORDS)
+            with environment.begin(write=True, db=times) as transaction:
+                for key in _keys(transaction.cursor(records), shards):
+                    transaction.put(key, _TIME.pack(now), overwrite=False)
+                saved = _entries(transaction, times, shards)
+                return [name for name, time in saved if _TIME.unpack(time)[0] <= now - seconds]
+
+        return self._write(look)
 
     def close(self) -> None:
         """See SnapshotStore."""
@@ -124,15 +148,16 @@ class LmdbStore:
                 environment.close()
 
     def _change(
-        self, claim: Claim, names: Iterable[str], change: Callable[[lmdb.Transaction], None]
+        self, claim: Claim, names: Iterable[str], change: Callable[[lmdb.Transaction, Any], None]
     ) -> None:
         shards = claim.check(names)
 
         def write(environment: lmdb.Environment) -> None:
             owners, records = environment.open_db(OWNERS), environment.open_db(RECORDS)
+            times = environment.open_db(TIMES)
             with environment.begin(write=True, db=records) as transaction:
                 _check_claim(transaction, owners, claim, shards)
-                change(transaction)
+                change(transaction, times)
 
         self._write(write)
 
@@ -200,9 +225,9 @@ def _prepare(folder: Path) -> None:
 
 
 def _open(path: Path) -> lmdb.Environment:
-    environment = lmdb.open(str(path), subdir=False, map_size=_FIRST_SIZE, max_dbs=2)
+    environment = lmdb.open(str(path), subdir=False, map_size=_FIRST_SIZE, max_dbs=3)
     environment.reader_check()  # readers that were killed would keep old pages from being used
-    for name in (RECORDS, OWNERS):
+    for name in (RECORDS, OWNERS, TIMES):
         environment.open_db(name)
     with environment.begin(write=True) as transaction:
         transaction.put(FORMAT_KEY, _FORMAT)
@@ -214,14 +239,22 @@ def _key(name: str) -> bytes:
     return f"{shard_of(name)}/{name}".encode()
 
 
-def _records_in(
-    transaction: lmdb.Transaction, shards: Collection[str]
+def _entries(
+    transaction: lmdb.Transaction, database: Any, shards: Collection[str]
 ) -> Iterator[tuple[str, bytes]]:
+    """By trajectory, what the database holds of these shards' ones."""
+    cursor = transaction.cursor(database)
+    for key in _keys(cursor, shards):
+        yield key.decode().split("/", 1)[1], bytes(cursor.value())
+
+
+def _keys(cursor: lmdb.Cursor, shards: Collection[str]) -> Iterator[bytes]:
+    """The keys of these shards, in order; the cursor stands at each."""
     for shard in sorted(shards):
-        prefix, cursor = f"{shard}/".encode(), transaction.cursor()
+        prefix = f"{shard}/".encode()
         found = cursor.set_range(prefix)
-        while found and bytes(cursor.key()).startswith(prefix):
-            yield bytes(cursor.key())[len(prefix) :].decode(), bytes(cursor.value())
+        while found and (key := bytes(cursor.key())).startswith(prefix):
+            yield key
             found = cursor.next()
 
 

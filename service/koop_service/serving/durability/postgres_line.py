@@ -27,6 +27,8 @@ CREATE TABLE koop_records_1 (
     shard text, name text, record bytea NOT NULL, PRIMARY KEY (shard, name));
 ALTER TABLE koop_records_1 ALTER COLUMN record SET STORAGE EXTERNAL;
 """
+_SINCE = "ALTER TABLE koop_records_1 ADD COLUMN saved_at timestamptz NOT NULL DEFAULT now()"
+"""A column that the first tables had not; what they held counts as saved when it was added."""
 
 
 class DatabaseLine:
@@ -83,6 +85,12 @@ def _make_tables(connection: psycopg.Connection[Any]) -> None:
         cursor.execute("SELECT to_regclass('koop_records_1')")
         if cursor.fetchone() == (None,):
             cursor.execute(_TABLES)
+        cursor.execute(
+            "SELECT 1 FROM pg_attribute "
+            "WHERE attrelid = to_regclass('koop_records_1') AND attname = 'saved_at'"
+        )
+        if cursor.fetchone() is None:
+            cursor.execute(_SINCE)
 
 
 def _said(error: psycopg.Error) -> str:

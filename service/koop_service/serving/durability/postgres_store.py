@@ -79,7 +79,8 @@ class PostgresStore:
         with self._changing(claim, records) as cursor:
             cursor.executemany(
                 "INSERT INTO koop_records_1 VALUES (%s, %s, %b) "
-                "ON CONFLICT (shard, name) DO UPDATE SET record = excluded.record",
+                "ON CONFLICT (shard, name) "
+                "DO UPDATE SET record = excluded.record, saved_at = excluded.saved_at",
                 rows,
             )
 
@@ -90,6 +91,16 @@ class PostgresStore:
                 "DELETE FROM koop_records_1 WHERE shard = ANY(%s) AND name = ANY(%s)",
                 (sorted(set(map(shard_of, names))), list(names)),
             )
+
+    def silent(self, shards: Collection[str], seconds: float) -> list[str]:
+        """See SnapshotStore; by the server's clock."""
+        with self._changes.transaction() as cursor:
+            cursor.execute(
+                "SELECT name FROM koop_records_1 "
+                "WHERE shard = ANY(%s) AND saved_at <= now() - make_interval(secs => %s)",
+                (sorted(shards), seconds),
+            )
+            return [name for (name,) in cursor]
 
     def close(self) -> None:
         """See SnapshotStore."""

@@ -125,9 +125,9 @@ class Snapshotter:
         return self._archive.recall(name)
 
     def arrived(self, name: str) -> None:
-        """It came back."""
-        if self._archive.remove(name):
-            self._changed[name] = None
+        """It came back. It is stored anew even where it is on the disk: it is in use again."""
+        self._archive.remove(name)
+        self._changed[name] = None
 
     def _settle(self) -> set[str]:
         """After the keeper is done with a batch; which trajectories are not stored after all."""

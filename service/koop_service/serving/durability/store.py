@@ -105,6 +105,10 @@ class SnapshotStore(Protocol):
         """Remove the records of these trajectories, where there are any; raises as `save`."""
         ...
 
+    def silent(self, shards: Collection[str], seconds: float) -> list[str]:
+        """Trajectories of these shards whose records were last saved so long ago, or longer."""
+        ...
+
     def close(self) -> None:
         """Let go of files and connections."""
         ...

@@ -69,6 +69,18 @@ class StoreContract:
         store.delete(claim, ["a", "never/there"])
         assert store.load(EVERY_SHARD) == {"b": b"2"}
 
+    def test_who_is_silent_is_told_by_shard(self, store: SnapshotStore) -> None:
+        old, new, other = name_of("00"), name_of("01"), name_of("02")
+        claim = store.claim("me", EVERY_SHARD)
+        store.save(claim, {old: b"1", other: b"1"})
+        assert store.silent(EVERY_SHARD, 3600.0) == []
+        assert sorted(store.silent({"00", "01"}, 0.0)) == [old]
+        store.save(claim, {new: b"1"})
+        assert sorted(store.silent({"00", "01"}, 0.0)) == sorted([old, new])
+        store.delete(claim, [old])
+        assert store.silent({"00", "01"}, 0.0) == [new]
+        assert store.silent([], 0.0) == []
+
     def test_a_large_batch_fits(self, store: SnapshotStore) -> None:
         claim = store.claim("me", EVERY_SHARD)
         batch = {f"cart/{i}": bytes(500_000) for i in range(300)}

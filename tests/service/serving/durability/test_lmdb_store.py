@@ -10,6 +10,7 @@ import sys
 from contextlib import closing
 from pathlib import Path
 
+import lmdb
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -50,6 +51,34 @@ def test_records_and_claims_outlive_the_process(tmp_path: Path) -> None:
     with closing(LmdbStore(tmp_path)) as store:
         assert store.load(EVERY_SHARD) == records
         assert store.claim("next", EVERY_SHARD).epoch == 2
+
+
+def test_a_record_is_as_old_as_its_last_batch(tmp_path: Path) -> None:
+    now = [1000.0]
+    with closing(LmdbStore(tmp_path, lambda: now[0])) as store:
+        claim = store.claim("me", EVERY_SHARD)
+        store.save(claim, {"a": seal({"n": 1}), "b": seal({"n": 1})})
+        now[0] += 60.0
+        store.save(claim, {"b": seal({"n": 2})})
+        assert store.silent(EVERY_SHARD, 60.0) == ["a"]
+    with closing(LmdbStore(tmp_path, lambda: now[0] + 60.0)) as store:
+        assert sorted(store.silent(EVERY_SHARD, 60.0)) == ["a", "b"]
+        assert store.silent(EVERY_SHARD, 121.0) == []
+
+
+def test_records_of_before_there_were_dates_are_young(tmp_path: Path) -> None:
+    stored(tmp_path, 3)
+    with (
+        lmdb.open(str(tmp_path / FILE), subdir=False, max_dbs=3) as environment,
+        environment.begin(write=True) as transaction,
+    ):
+        transaction.drop(environment.open_db(b"times", transaction), delete=True)
+    now = [1000.0]
+    with closing(LmdbStore(tmp_path, lambda: now[0])) as store:
+        assert len(store.load(EVERY_SHARD)) == 3
+        assert store.silent(EVERY_SHARD, 60.0) == []
+        now[0] += 60.0
+        assert len(store.silent(EVERY_SHARD, 60.0)) == 3
 
 
 def test_a_folder_that_cannot_be_made_is_explained(tmp_path: Path) -> None:

@@ -8,6 +8,7 @@ import time
 from collections.abc import Iterator
 from contextlib import closing
 
+import psycopg
 import pytest
 from integration.postgres_server import PostgresServer, postgres_server
 
@@ -82,6 +83,16 @@ def test_a_batch_is_over_before_a_claim_or_it_is_refused(url: str) -> None:
         loaded = second.load({"00"})
         writer.join()
         assert second.load({"00"}) == loaded == {name: saved[-1]}
+
+
+def test_tables_of_before_there_were_dates_get_them(url: str) -> None:
+    with closing(PostgresStore(url)) as store:
+        store.save(store.claim("me", EVERY_SHARD), {"a": b"1"})
+    with psycopg.connect(url) as connection:
+        connection.execute("ALTER TABLE koop_records_1 DROP COLUMN saved_at")
+    with closing(PostgresStore(url)) as store:
+        assert store.load(EVERY_SHARD) == {"a": b"1"}
+        assert (store.silent(EVERY_SHARD, 60.0), store.silent(EVERY_SHARD, 0.0)) == ([], ["a"])
 
 
 def test_a_server_that_goes_away_is_told_and_found_again() -> None:
