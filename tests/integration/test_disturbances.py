@@ -67,8 +67,7 @@ class Service:
         self.recovery.attend([])
         while replays := self.recovery.take(64):
             self.measurements.process([a for replay in replays for a in replay.arrivals])
-            for replay in replays:
-                self.measurements.process(self.recovery.finish(replay))
+            self.measurements.process([a for r in replays for a in self.recovery.finish(r)])
             self.recovery.attend([])
 
     def snapshot(self) -> tuple[dict[str, bytes], Durable | None]:

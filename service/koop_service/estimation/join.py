@@ -82,17 +82,18 @@ class ControlJoin:
         """Whether a window, present or future, can ask for control `seq`."""
         return seq + 1 >= self._next_seq or any(window.seq == seq for window in self._windows)
 
-    def gives_up(self, frames: int) -> int | None:
-        """Highest control that has not come, and `frames` more frames would be too late for.
+    def gives_up(self, frames: int, row: int) -> int | None:
+        """Highest control that has not come, and would be too late after `frames` more frames.
 
         A window waits for its control. A run's first controls have none: their turn is over with
-        the next frame, and all that they change is the count of controls.
+        the next frame, and all that they change is the count of controls. `row`: how many of the
+        frames are the next ones, without a gap.
         """
         if self._settings.control_size == 0:
             return None
         late = [w.seq for w in self._windows if self.frames + frames - w.folded > self._limit]
-        early = range(min(frames, self._settings.history - len(self._run)) if self._run else 0)
-        late += [self._next_seq - 1 + ahead for ahead in early]
+        run, h = len(self._run), self._settings.history
+        late += [self._next_seq - 2 + j for j in range(max(1, 2 - run), 1 + min(row, h - run))]
         return max((seq for seq in late if seq not in self._controls), default=None)
 
     def add_control(self, seq: int, u: Array) -> list[Transition]:

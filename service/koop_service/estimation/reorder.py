@@ -45,6 +45,13 @@ class FrameOrder:
         """With frame `seq` too: the lowest that waits for a missing one, or None."""
         return None if seq == self.next_seq else min((seq, *self._pending))
 
+    def row(self, seq: int) -> int:
+        """With frame `seq` too: how many can pass at once, without a gap."""
+        end = self.next_seq
+        while end == seq or end in self._pending:
+            end += 1
+        return end - self.next_seq
+
     @property
     def waiting(self) -> int:
         """Frames that wait for a missing one."""

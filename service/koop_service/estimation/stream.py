@@ -134,7 +134,8 @@ class Stream:
         None if nothing is; else the number of a frame that its source puts after all of that. A
         record of the source's puts that reaches this frame, and was folded, has none of it.
         """
-        gap, control = self._order.gap_before(seq), self._join.gives_up(1 + self._order.waiting)
+        order = self._order
+        gap, control = order.gap_before(seq), self._join.gives_up(1 + order.waiting, order.row(seq))
         later = [] if gap is None else [gap]
         return max(later + ([] if control is None else [control + 1]), default=None)
 

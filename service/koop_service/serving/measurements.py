@@ -203,7 +203,8 @@ class Measurements:
     def _encode_group(self, codec: ImageCodec, group: list[tuple[_Accepted, Image]]) -> None:
         started = time.perf_counter()
         try:
-            codes = codec.encode(_stack([image for _, image in group]))
+            images = _stack([image for _, image in group])
+            codes = codec.encode(images, hurried=self._recovery.behind > 0)
         except Exception:
             self._lose("encoding", len(group))
             return

@@ -77,6 +77,8 @@ def test_a_codes_bits_do_not_depend_on_the_batch_it_rode_in():
     for size in (1, 2, 3, 31, 64, 65):
         parts = [codec.encode(images[i : i + size]) for i in range(0, 130, size)]
         assert np.array_equal(np.concatenate(parts), together), f"batches of {size}"
+        hurried = [codec.encode(images[i : i + size], hurried=True) for i in range(0, 130, size)]
+        assert np.array_equal(np.concatenate(hurried), together), f"halved batches of {size}"
     order = np.random.default_rng(1).permutation(130)
     assert np.array_equal(codec.encode(images[order]), together[order])
 

@@ -10,9 +10,9 @@ GIVEN_UP = ("gaps", "missing_frames", "missing_controls", "late_join")
 
 
 @settings(deadline=None, max_examples=300)
-@given(anything() | nearly_ordered(), st.integers(0, 1), st.integers(0, 4))
-def test_nothing_is_given_up_without_being_foretold(messages, control_size, limit):
-    stream = make(control_size=control_size, limit=limit)
+@given(anything() | nearly_ordered(), st.integers(0, 1), st.integers(0, 4), st.integers(1, 4))
+def test_nothing_is_given_up_without_being_foretold(messages, control_size, limit, history):
+    stream = make(history, control_size, limit)
     for message in messages:
         if message.kind == "control":
             if control_size:

@@ -112,6 +112,23 @@ def test_a_round_stores_what_has_changed_since_the_last(tmp_path: Path, model: P
         assert len(bench.store.events) == events, "nothing changed"
 
 
+def test_what_was_caught_up_is_stored_at_once_and_later_rounds_keep_their_time(
+    tmp_path: Path, model: Path
+) -> None:
+    with bench_in(tmp_path, model) as bench:
+        bench.fold(0)
+        bench.snapshots.hasten()
+        bench.round()
+        assert bench.stored() == {"cart/0": 1}
+        bench.fold(0, seq=1)
+        bench.snapshots.hasten()
+        bench.round()
+        assert bench.stored() == {"cart/0": 1}
+        bench.now += 3.0
+        bench.round()
+        assert bench.stored() == {"cart/0": 2}
+
+
 def test_only_who_keeps_a_log_is_told_from_where_it_must(tmp_path: Path, model: Path) -> None:
     with bench_in(tmp_path, model) as bench:
         bench.fold(0, 1)
