@@ -23,8 +23,6 @@ _PART = 8
 _LEAST_MESSAGES, _LEAST_SIZE = 64, 1 << 20
 _PACE = 0.005
 """While others are active, a share gets one measurement in this time [s] on the average, ..."""
-_STRANGERS_PACE = _PACE / 20
-"""The same of all strangers together: many robots may be switched on at once."""
 _BURST = 2
 """... and this many at once, such as a frame and its control: others wait for what is in work."""
 _ACTIVE = 1.0
@@ -188,11 +186,10 @@ class Turns:
             arrival.share = lane
             own.queue.append(arrival)
         size = sum(len(arrival.data) for arrival in waiting)
-        strangers.messages, strangers.size = (
-            strangers.messages - len(waiting),
-            strangers.size - size,
-        )
-        own.messages, own.size = own.messages + len(waiting), own.size + size
+        strangers.messages -= len(waiting)
+        strangers.size -= size
+        own.messages += len(waiting)
+        own.size += size
 
     def _take_one(self, name: str, now: float) -> list[Arrival]:
         """The share's oldest, if it still has one; then it is at the end of the line."""
@@ -233,8 +230,7 @@ class Turns:
     def _pay(self, name: str, now: float) -> None:
         activity = self._active.get(name)
         if activity:
-            pace = _STRANGERS_PACE if name == _STRANGERS else _PACE
-            activity.paid = max(activity.paid, now) + pace
+            activity.paid = max(activity.paid, now) + _PACE
 
 
 def _exceeds(messages: int, size: int, max_messages: int, max_size: int) -> bool:
