@@ -43,6 +43,7 @@ bench: $(TEST_STAMP) ## Print the benchmark tables
 	$(BIN)/python benchmarks/training.py
 	$(BIN)/python benchmarks/mixed.py
 	$(BIN)/python benchmarks/flow.py
+	$(BIN)/python benchmarks/durability.py --rounds 1 --seconds 5 --kills 3
 	$(BIN)/python benchmarks/failover.py
 	$(BIN)/python benchmarks/workers.py
 	$(BIN)/python benchmarks/flow_physics.py --quick
