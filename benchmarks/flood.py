@@ -39,7 +39,7 @@ HORIZON = 20
 QUIET, GOOD, BAD, STRANGE = range(4)
 FLOODS = {"good": GOOD, "bad": BAD, "strange": STRANGE}
 STRETCH = 3.0  # s, after SETTLE
-SETTLE = 0.5  # s in which the last stretch may still be felt
+SETTLE, DRAINED = 0.5, 30.0  # s in which the last stretch may be felt; s at most for its backlog
 WARM_FRAMES = 60
 FLOODED = "benchmark/flood"
 
@@ -104,12 +104,21 @@ def alternate(
         for name in options.floods:
             for which in (QUIET, FLOODS[name]):
                 kind.value = which
-                time.sleep(SETTLE)
+                settle(served, which)
                 stretch.value = number
                 time.sleep(STRETCH)
                 stretch.value = -1
                 number += 1
                 yield which
+
+
+def settle(served: Service, which: int) -> None:
+    """Before a quiet stretch, until what the flood has put is folded: also what its link holds."""
+    time.sleep(SETTLE)
+    deadline, empty = time.monotonic() + DRAINED, 0
+    while which == QUIET and empty < 5 and time.monotonic() < deadline:
+        time.sleep(SETTLE / 5)
+        empty = empty + 1 if served.metric("koop_queue_messages") < 5 else 0
 
 
 def compare(kinds: list[int], latencies: list[tuple[int, float]]) -> dict[str, float]:

@@ -5,10 +5,12 @@ import pytest
 import torch
 from torch import nn
 
+from koop_service.encoding import image_codec
 from koop_service.encoding.architecture import FLOW, PAPER, Architecture
 from koop_service.encoding.autoencoder import channels_first, initialised
 from koop_service.encoding.folding import fold
 from koop_service.encoding.image_codec import ImageCodec
+from koop_service.encoding.packing import HalvingPool, PackedConv, pack
 from koop_service.encoding.weights import ModelCard
 
 CARD = ModelCard(system="test", renderer="none", dt=0.05)
@@ -68,6 +70,31 @@ def test_folding_keeps_the_function(seed, shape, architecture):
         decoder(codes[:, :, None, None]), model.decode(codes), rtol=1e-4, atol=1e-4
     )
     assert not any(isinstance(m, nn.BatchNorm2d) for m in (*encoder.modules(), *decoder.modules()))
+
+
+@pytest.mark.parametrize(("shape", "architecture"), [((64, 64), PAPER), (FIELD, FLOW)])
+def test_packing_keeps_the_bits(shape, architecture):
+    encoder, _ = fold(lived_in(6, shape, architecture))
+    images = torch.rand(4, *channels_first(shape)).contiguous(memory_format=torch.channels_last)
+    expected = encoder(images)
+    packed = pack(encoder)
+    if torch.backends.mkldnn.is_available():
+        kinds = {type(layer) for layer in packed.modules()}
+        assert kinds > {PackedConv, HalvingPool}
+        assert nn.Conv2d not in kinds
+    for count in (4, 2, 4):
+        assert torch.equal(packed(images[:count]), expected[:count])
+
+
+def test_where_a_picture_alone_rounds_differently_it_is_padded(monkeypatch):
+    images = pictures(1)
+    expected = ImageCodec(lived_in(3), CARD).encode(images)
+    monkeypatch.setattr(image_codec, "pack", lambda encoder: encoder)  # torch's own kernels do
+    codec, sizes = ImageCodec(lived_in(3), CARD), []
+    codec._encoder.register_forward_pre_hook(lambda _, inputs: sizes.append(len(inputs[0])))
+    assert np.array_equal(codec.encode(images), expected)
+    assert sizes in ([1], [2])
+    assert sizes == [2] or codec._encodes_alone
 
 
 def test_a_codes_bits_do_not_depend_on_the_batch_it_rode_in():
