@@ -10,11 +10,13 @@ from pathlib import Path
 import pytest
 import zenoh
 from integration.loopback import DEADLINE, Source, ask_all, client, config_for
+from integration.secured import HOST, OTHER, ROBOT, Secured, deploy
+from integration.secured import stream as stream_of
 
 from koop_clients.queries import KoopClient, KoopError
 from koop_protocol import ErrorReply, PredictReply, StateReply, shard_of
 from koop_service.assembly import Service, running
-from koop_service.serving.config import ComputeSettings
+from koop_service.serving.config import ComputeSettings, ModelRule, NetworkSettings, ServiceConfig
 from koop_service.serving.placement.hub import hub
 from koop_service.serving.placement.settings import PlacementSettings
 from koop_service.serving.session import open_session
@@ -66,6 +68,27 @@ def streamed(tmp_path_factory: pytest.TempPathFactory, model: Path) -> Iterator[
     with started(tmp_path_factory.mktemp("team"), model) as team:
         stream(team)
         yield team
+
+
+@pytest.fixture(scope="module")
+def guarded_team(tmp_path_factory: pytest.TempPathFactory, model: Path) -> Iterator[Secured]:
+    """Two workers behind the shipped access rules; `service` is the first, `hub` its session."""
+    folder = tmp_path_factory.mktemp("guarded")
+    deployment = deploy(folder / "pki")
+    public = NetworkSettings(zenoh_config=deployment.configuration, listen=(f"tls/{HOST}:0",))
+    with ExitStack() as everything:
+        shared = everything.enter_context(hub(public))
+        started = []
+        for number in range(2):
+            config = ServiceConfig(
+                models=(ModelRule(model, ("line3/*",)),),
+                network=shared.network,
+                placement=PlacementSettings(worker=f"{number}/2"),
+                state_folder=folder / f"state{number}",
+            )
+            session = everything.enter_context(open_session(config.network))
+            started.append((everything.enter_context(running(config, session)), session))
+        yield Secured(*started[0], deployment, shared.endpoints[0])
 
 
 def stream(team: Team) -> None:
@@ -125,3 +148,16 @@ def test_of_an_owner_that_is_down_nobody_speaks_and_the_client_says_what_to_do(
             with pytest.raises(KoopError, match="the worker that has this trajectory"):
                 koop.predict(NAMES[0], 3)
         assert sorted(koop.predict_all(3, timeout=DEADLINE)) == left
+
+
+def test_workers_behind_access_rules_serve_who_has_the_right(guarded_team: Secured) -> None:
+    with guarded_team.session("robot7") as robot, guarded_team.session("wall") as viewer:
+        stream_of(robot, ROBOT, 40)
+        assert KoopClient(robot, DEADLINE).state(ROBOT).frames == 40
+        assert KoopClient(viewer, DEADLINE).predict(ROBOT, 5).seq == 39
+        stream_of(robot, OTHER, 40)  # another robot's
+        with pytest.raises(KoopError):
+            KoopClient(viewer, DEADLINE).state(OTHER)
+    with guarded_team.session("robot8") as robot:
+        stream_of(robot, OTHER, 40)
+        assert KoopClient(robot, DEADLINE).state(OTHER).frames == 40

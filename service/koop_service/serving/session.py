@@ -13,6 +13,7 @@ os.environ.setdefault("ZENOH_RUNTIME", "(rx: (worker_threads: 16))")
 
 import zenoh
 
+from koop_protocol import CLIENT_TOKENS, SOURCE_TOKENS
 from koop_service.serving.config import NetworkSettings
 
 _LARGEST_MESSAGE = 64 << 20
@@ -23,9 +24,17 @@ _HELLO = 2000
 """How long somebody who connects may take to say so [ms]. Zenoh lets a hundred do nothing at once,
 and refuses all others meanwhile; with its own 10 s, a hundred idle sockets close the service."""
 _TLS = "transport/link/tls"
+_PROTOCOLS = "transport/link/protocols"
 _COMMANDS = 16
 """Batches of commands that may wait on a link. Commands that find it full are dropped: with Zenoh's
 own 2, one in sixty was, on a busy machine."""
+
+_EVERYTHING = ["**", CLIENT_TOKENS, SOURCE_TOKENS]
+"""All of koop's keys: ** leaves out chunks that begin with @."""
+_MESSAGES = [
+    *("put", "delete", "query", "reply", "declare_subscriber", "declare_queryable"),
+    *("liveliness_token", "liveliness_query", "declare_liveliness_subscriber"),
+]
 
 
 class CannotListenError(OSError):
@@ -79,13 +88,24 @@ def zenoh_config(settings: NetworkSettings, patience: int = _PATIENCE) -> zenoh.
 _RETRY = {"period_init_ms": 100, "period_max_ms": 500, "period_increase_factor": 2}
 
 
-def open_session(settings: NetworkSettings, patience: int = _PATIENCE) -> zenoh.Session:
+def listens(settings: NetworkSettings) -> bool:
+    """Whether a session with these settings is a hub, by an option or by its Zenoh file."""
+    config = zenoh_config(settings)
+    return json.loads(config.get_json("mode")) != "client" and bool(_endpoints(config, "listen"))
+
+
+def open_session(
+    settings: NetworkSettings, patience: int = _PATIENCE, private: str | None = None
+) -> zenoh.Session:
     """Open the session; use it as a context manager, an open one hangs the interpreter's exit.
 
+    private: one more endpoint to listen on, a socket file: who reaches it may do everything.
     Raises CannotListenError, UnreachableError, or OSError for anything else that Zenoh objects to.
     """
     zenoh.try_init_log_from_env()  # says nothing unless RUST_LOG asks for it
     config = zenoh_config(settings, patience)
+    if private is not None:
+        _listen_as_well(config, private)
     try:
         return zenoh.open(config)
     except zenoh.ZError as error:
@@ -137,12 +157,41 @@ def _find_certificates(config: zenoh.Config, path: Path) -> None:
         _set(config, f"{_TLS}/{name}", str(file))
 
 
+def _listen_as_well(config: zenoh.Config, endpoint: str) -> None:
+    protocol = endpoint.partition("/")[0]
+    _set(config, "listen/endpoints", [*_listed(config, "listen"), endpoint])
+    allowed = json.loads(config.get_json(_PROTOCOLS))
+    if allowed:
+        _set(config, _PROTOCOLS, [*allowed, protocol])
+    _admit(config, protocol)
+
+
+def _admit(config: zenoh.Config, protocol: str) -> None:
+    """Let whoever comes over links of this protocol do everything, where there are access rules."""
+    rules = json.loads(config.get_json("access_control"))
+    if not rules["enabled"]:
+        return
+    name = "workers"
+    rule = {"id": name, "permission": "allow", "key_exprs": _EVERYTHING, "messages": _MESSAGES}
+    for kind, entry in (
+        ("rules", rule | {"flows": ["ingress", "egress"]}),
+        ("subjects", {"id": name, "link_protocols": [protocol]}),
+        ("policies", {"rules": [name], "subjects": [name]}),
+    ):
+        rules[kind] = [*(rules[kind] or []), entry]
+    _set(config, "access_control", rules)
+
+
 def _endpoints(config: zenoh.Config, kind: str) -> tuple[str, ...]:
     """Where a configuration listens or connects, without the parameters of its endpoints."""
+    return tuple(endpoint.partition("#")[0] for endpoint in _listed(config, kind))
+
+
+def _listed(config: zenoh.Config, kind: str) -> list[str]:
     found = json.loads(config.get_json(f"{kind}/endpoints"))
     if isinstance(found, dict):  # a file may give them by mode
         found = found.get(json.loads(config.get_json("mode")), [])
-    return tuple(str(endpoint).partition("#")[0] for endpoint in found)
+    return [str(endpoint) for endpoint in found]
 
 
 def _unreachable(config: zenoh.Config) -> str:

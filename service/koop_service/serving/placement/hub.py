@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import json
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 from koop_service.serving.config import NetworkSettings
-from koop_service.serving.session import locators, open_session, zenoh_config
+from koop_service.serving.session import listens, locators, open_session
 
 _PATIENCE = 5_000_000
 """How long a message waits for a slow reader before its link is closed [us]. More than a service
@@ -28,22 +27,15 @@ class Hub:
 def hub(settings: NetworkSettings) -> Iterator[Hub]:
     """A router in this process, where the settings listen; else the workers join others' routers.
 
-    Workers reach it by a socket in a folder that only this user can enter. Raises what
-    `open_session` does, and ValueError where access rules would keep the workers out.
+    Workers reach it by a socket in a folder that only this user can enter, also past access rules.
+    Raises what `open_session` does.
     """
-    if not settings.endpoints:
+    if not listens(settings):
         yield Hub([], settings)
         return
-    if json.loads(zenoh_config(settings).get_json("access_control/enabled")):
-        raise ValueError(
-            f"{settings.zenoh_config} has access rules, which know nothing of workers without "
-            "certificates; run a Zenoh router with this file, and workers that join it, with "
-            "--workers N --connect"
-        )
     with tempfile.TemporaryDirectory(prefix="koop-") as folder:
         private = f"unixsock-stream/{folder}/hub"
-        listening = replace(settings, listen=(*settings.endpoints, private))
-        with open_session(listening, _PATIENCE) as session:
+        with open_session(settings, _PATIENCE, private) as session:
             public = [where for where in locators(session) if not where.startswith("unixsock")]
             yield Hub(
                 public, NetworkSettings(connect=(private,), shared_memory=settings.shared_memory)
