@@ -24,7 +24,8 @@ try:
     from tqdm import tqdm
 
     from koop_clients.dataset.bars import Bar
-    from koop_clients.dataset.flow import FlowRecipe, write_flow
+    from koop_clients.dataset.flow import write_flow
+    from koop_clients.dataset.moments import FlowRecipe
     from koop_clients.recording.file import Header, Row, write_recording
 except ModuleNotFoundError as error:
     sys.exit(f"koop-dataset needs {error.name}: pip install 'koop[train]'")
@@ -92,7 +93,7 @@ class Arguments:
     seed: int = 0
     """Seed; the same seed gives the same file."""
     workers: int = field(default_factory=lambda: os.cpu_count() or 1)
-    """Processes; the cylinder takes one."""
+    """Processes, among which trajectories are shared out."""
 
 
 def main() -> None:
@@ -149,7 +150,7 @@ def _write_flow(arguments: Arguments) -> None:
     recipe = _flow_recipe(arguments)
     count, length = recipe.trajectories, recipe.length
     with Bar("the flow develops", "frame") as first, Bar("", "frame", count * length) as bar:
-        write_flow(arguments.out, recipe, first.stand, bar.count)
+        write_flow(arguments.out, recipe, first.stand, bar.count, arguments.workers)
     plural = "y" if count == 1 else "ies"
     print(f"wrote {arguments.out}: {count} trajector{plural} of {length} frames")
 

@@ -7,63 +7,20 @@ the transverse velocity behind the cylinder [U].
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import h5py
 import hdf5plugin
 import numpy as np
 
+from koop_clients.dataset.moments import FlowRecipe, moments
 from koop_clients.flow.cylinder import CHANNELS, MEAN, RENDERER, SCALE, CylinderFlow
-from koop_clients.flow.forcing import Regime, law
-from koop_clients.flow.plant import FlowPlant, starting
-from koop_clients.flow.settings import FRAME_INTERVAL, WINDOW, FlowSettings
-from koop_clients.flow.spinup import Progress, steady
+from koop_clients.flow.settings import FRAME_INTERVAL, WINDOW
+from koop_clients.flow.spinup import Progress
 from koop_clients.recording.file import Header, describe, new_recording
 from koop_protocol import recording as names
-
-# The paper's lengths (A.3) [frames]; one frame of the steady flow is as good as many.
-FRAMES = {"rest": 4328, "schedule": 5000, "feedback": 5000, "mix": 5000, "steady": 1}
-
-
-@dataclass(frozen=True)
-class FlowRecipe:
-    """What a recording of the cylinder is made of.
-
-    Attributes:
-        settings: of the flow.
-        regime: how the cylinder turns, or `steady`: the steady flow, all frames alike.
-        trajectories: how many, each from a phase and with a schedule of its own.
-        frames: of each; 0 takes the paper's length.
-        seed: of phases and schedules.
-    """
-
-    settings: FlowSettings
-    regime: Regime | Literal["steady"] = "rest"
-    trajectories: int = 1
-    frames: int = 0
-    seed: int = 0
-
-    @property
-    def length(self) -> int:
-        """Frames of each trajectory."""
-        return self.frames or FRAMES[self.regime]
-
-    @property
-    def is_actuated(self) -> bool:
-        """Whether the cylinder may turn."""
-        return self.regime not in ("rest", "steady")
-
-
-@dataclass(frozen=True, eq=False)
-class Moment:
-    """A frame (4, H, W) float16, the probe's velocity [U], and the rotation that follows [U/D]."""
-
-    picture: np.ndarray
-    probe: float
-    rotation: float
 
 
 def write_flow(
@@ -71,20 +28,21 @@ def write_flow(
     recipe: FlowRecipe,
     spun_up: Progress | None = None,
     wrote: Callable[[], object] = lambda: None,
+    workers: int = 1,
 ) -> None:
     """Simulate and write; `path` is replaced only once the file is complete.
 
-    `spun_up` hears how the flow develops, if it must; `wrote` is called after each frame.
+    `spun_up` hears how the flow develops, if it must; `wrote` is called after each frame. Several
+    `workers` share the trajectories, and write the same file.
     """
     flow = CylinderFlow(recipe.settings)
     with new_recording(path) as file:
         frames, controls, states = _data_sets(file, recipe, flow)
-        for i in range(recipe.trajectories):
-            for k, moment in enumerate(_moments(flow, recipe, i, spun_up)):
-                frames[i, k], states[i, k] = moment.picture, moment.probe
-                if recipe.is_actuated and k + 1 < recipe.length:
-                    controls[i, k] = moment.rotation
-                wrote()
+        for i, k, moment in moments(recipe, workers, spun_up):
+            frames[i, k], states[i, k] = moment.picture, moment.probe
+            if recipe.is_actuated and k + 1 < recipe.length:
+                controls[i, k] = moment.rotation
+            wrote()
         describe(file, _header(recipe), [_entry(recipe)] * recipe.trajectories)
         file.attrs[names.CHANNELS_ATTRIBUTE] = list(CHANNELS)
         file.attrs[names.CHANNEL_MEAN_ATTRIBUTE] = MEAN
@@ -107,20 +65,6 @@ def _data_sets(file: h5py.File, recipe: FlowRecipe, flow: CylinderFlow) -> tuple
     controls = file.create_dataset(names.CONTROLS_DATASET, sizes[0], np.float64)
     states = file.create_dataset(names.STATES_DATASET, sizes[1], np.float64)
     return frames, controls, states
-
-
-def _moments(
-    flow: CylinderFlow, recipe: FlowRecipe, index: int, spun_up: Progress | None
-) -> Iterator[Moment]:
-    if recipe.regime == "steady":
-        state = steady(flow, spun_up)
-        yield from [Moment(flow.picture(state), flow.probe(state), 0.0)] * recipe.length
-        return
-    seed = (recipe.seed, index)
-    plant = FlowPlant(flow, law(recipe.regime, seed), starting(flow, seed, spun_up))
-    for _ in range(recipe.length):
-        picture, probe = plant.draw(), plant.probe
-        yield Moment(picture, probe, plant.advance())
 
 
 def _header(recipe: FlowRecipe) -> Header:

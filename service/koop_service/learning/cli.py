@@ -44,9 +44,9 @@ class Arguments:
     """An HDF5 recording (koop-dataset and koop-record write one)."""
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
     """The weights to write (safetensors)."""
-    preset: Literal["cpu", "paper", "flow", "smoke"] = "cpu"
+    preset: Literal["cpu", "paper", "flow", "flow-gpu", "smoke"] = "cpu"
     """Schedule: cpu (a quarter of an hour on 2 cores), paper (a GPU's), flow (fields of 128 x 256,
-    short windows of long trajectories) or smoke (seconds)."""
+    short windows of long trajectories), flow-gpu (a GPU's for those) or smoke (seconds)."""
     dynamics: Literal["fitted", "learned-A", "learned-B"] = "fitted"
     """fitted to each trajectory (ours), or learned for all: the baselines [17] (A) and [6] (B)."""
     regime: Literal["offline", "partial", "full"] | None = None
@@ -69,6 +69,8 @@ class Arguments:
     """Threads; 0 lets torch choose."""
     checkpoint_seconds: float = 120.0
     """Time between two checkpoints, each with an early look (a strip of predictions) [s]."""
+    judged_on: Path | None = None
+    """A recording to judge on, instead of what is held out of the one that is trained on."""
     fresh: bool = False
     """Start over, also where a checkpoint of an unfinished training with this --out is found."""
 
@@ -96,6 +98,8 @@ def run(arguments: Arguments) -> None:
     preset = chosen_preset(arguments, warm)
     _check_shape(arguments, recording, preset)
     seen, unseen = preset.split(recording)
+    if arguments.judged_on:
+        unseen = preset.sequences(_alike(arguments.judged_on, recording))
     preset = preset.on(seen)
     _check_recording(arguments, seen, preset)
     _check_unseen(arguments, unseen, preset)
@@ -205,7 +209,7 @@ def _check_recording(arguments: Arguments, recording: Recording, preset: Preset)
             f"{roll.after(roll.horizon)} more, so at least {roll.longest}; record longer ones"
         )
     some = recording.frames[:: max(1, count // 64), ::10]
-    if some.min() == some.max():
+    if torch.equal(*torch.aminmax(torch.from_numpy(some))):
         raise ValueError(
             f"{arguments.recording} shows nothing: every pixel of every frame is "
             f"{some.max():g}; look at its frames, and record it again"
@@ -235,6 +239,18 @@ def _check_writable(out: Path) -> None:
         raise ValueError(f"cannot write {out}: {error}; choose another --out") from error
     if out.is_dir():
         raise ValueError(f"{out} is a folder; --out names the weights file to write")
+
+
+def _alike(path: Path, recording: Recording) -> Recording:
+    """The recording at `path`. Raises ValueError where it shows something else than `recording`."""
+    other = load_recording(path)
+    shown = [(r.renderer, r.image_shape, r.controls.shape[2]) for r in (other, recording)]
+    if shown[0] != shown[1]:
+        raise ValueError(
+            f"--judged-on {path} holds {shown[0]} (renderer, frames, controls), the recording to "
+            f"train on {shown[1]}; judge on frames of the same kind"
+        )
+    return other
 
 
 def _start(path: Path, recording: Recording) -> Autoencoder:

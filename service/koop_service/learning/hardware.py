@@ -31,6 +31,10 @@ class Hardware:
         mixed = self.precision == torch.bfloat16
         return torch.autocast(self.device.type, torch.bfloat16, enabled=mixed)
 
+    def free_memory(self) -> int:
+        """What a GPU has left [bytes]; 0 on a CPU, which holds the recording as it is."""
+        return torch.cuda.mem_get_info(self.device)[0] if self.device.type == "cuda" else 0
+
 
 def tune_allocator() -> None:
     """Start this program over, once, with glibc's malloc set for training; for its `main` alone.

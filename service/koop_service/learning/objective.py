@@ -19,7 +19,7 @@ from koop_service.learning.dynamics import Dynamics
 from koop_service.learning.fit import regressors, roll_out
 from koop_service.learning.hardware import Hardware
 from koop_service.learning.presets import Preset, RollOut
-from koop_service.learning.windows import Batch, as_images
+from koop_service.learning.windows import Batch
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,7 +83,7 @@ class DynamicsLoss:
         relative = [((p.codes - _pick(codes, p.aims)) ** 2).mean(3) / spread for p in predictions]
         consistency = sum(torch.log1p(10 * r).mean() for r in relative) / (10 * len(relative))
 
-        prediction, reconstruction = self._decoded(codes, predictions, batch.images, rng)
+        prediction, reconstruction = self._decoded(codes, predictions, batch, rng)
         residual = ((W[:, :known].double() @ theta.mT - Y[:, :known]) ** 2).mean() / spread
         return Loss(
             prediction + reconstruction + self.preset.consistency * consistency,
@@ -97,7 +97,7 @@ class DynamicsLoss:
     def encode(self, batch: Batch) -> Tensor:
         """Codes (B, L, n) float32."""
         codes = encoded(self.head, batch.inputs, self.hardware)
-        return codes.unflatten(0, batch.images.shape[:2])
+        return codes.unflatten(0, batch.shape)
 
     def _restarts(
         self, shape: torch.Size, fitted: int, horizon: int, rng: np.random.Generator
@@ -141,7 +141,7 @@ class DynamicsLoss:
         self,
         codes: Tensor,
         predictions: list[_Predicted],
-        images: Tensor,
+        batch: Batch,
         rng: np.random.Generator,
     ) -> tuple[Tensor, Tensor]:
         """Squared pixel errors of random predicted codes and of random codes, robust by picture.
@@ -149,13 +149,13 @@ class DynamicsLoss:
         A diverged code decodes to anything; its error counts no more than logarithmically beyond
         the pictures' own variance, or one of them would drown a whole batch.
         """
+        windows, length = batch.shape
         share = self.preset.predicted // len(predictions)
-        ahead = [p.sample(images.shape[1], share, rng) for p in predictions]
-        known = _choose(len(images) * images.shape[1], self.preset.reconstructed, rng)
-        known = known.to(codes.device)
+        ahead = [p.sample(length, share, rng) for p in predictions]
+        known = _choose(windows * length, self.preset.reconstructed, rng).to(codes.device)
         inputs = torch.cat([*(chosen for chosen, _ in ahead), codes.flatten(0, 1)[known]])
         frames = torch.cat([*(aims for _, aims in ahead), known])
-        truth = as_images(images.flatten(0, 1)[frames])
+        truth = batch.images(frames).to(codes.device)
         with self.hardware.autocast():
             decoded = self.model.decode(inputs)
         error = ((decoded.float() - truth) ** 2).mean((1, 2, 3))

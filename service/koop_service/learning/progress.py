@@ -8,7 +8,7 @@ import sys
 from tqdm import tqdm
 
 from koop_service.learning.objective import Loss
-from koop_service.learning.schedule import growing_horizon
+from koop_service.learning.schedule import growing_horizon, mean_horizon
 from koop_service.learning.train import Setting, Training
 
 
@@ -20,8 +20,8 @@ def frames_in(setting: Setting, stage: int, first: int) -> float:
         return len(steps) * preset.autoencoder.batch
     roll = preset.roll_out(setting.recording.controls.shape[2])
     fitted = sum(roll.fit_frames) / 2
-    lengths = (fitted + roll.after(growing_horizon(step, preset, roll)) for step in steps)
-    return preset.dynamics.batch * sum(lengths)
+    horizons = (mean_horizon(growing_horizon(step, preset, roll), roll) for step in steps)
+    return preset.dynamics.batch * sum(fitted + roll.after(horizon) for horizon in horizons)
 
 
 class Bar:

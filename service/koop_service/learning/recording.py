@@ -14,6 +14,7 @@ from typing import Any
 import h5py
 import hdf5plugin  # noqa: F401  (registers the Zstandard filter)
 import numpy as np
+import torch
 
 from koop_protocol import recording as names
 from koop_service.encoding.autoencoder import IMAGE_SIZE
@@ -68,13 +69,13 @@ class Recording:
                 f"the recording has trajectories of {total} frames, of which {length} are held "
                 f"out; training needs more than {length + 1}: record longer ones"
             )
-        cut = self._cut(stretch)
+        cut = self.cut(stretch)
         return cut._stretch(0, stretch - length), cut._stretch(stretch - length, stretch)
 
     def _part(self, which: slice) -> Recording:
         return replace(self, frames=self.frames[which], controls=self.controls[which])
 
-    def _cut(self, length: int) -> Recording:
+    def cut(self, length: int) -> Recording:
         """Every trajectory as several of `length` frames; a rest is left out."""
         count = self.frames.shape[1] // length
         # The control between two pieces belongs to neither; a last one makes all pieces equal.
@@ -198,9 +199,9 @@ def _value_range(path: Path, frames: np.ndarray) -> tuple[float, float]:
     """Where values may lie: UNIT for pictures, else ten times the largest in size either way."""
     if frames.dtype == np.uint8:
         return UNIT
-    # Frame by frame: a temporary of all of them would double the memory.
-    sizes = [max(-float(f.min()), float(f.max())) for trajectory in frames for f in trajectory]
-    largest = float(np.max(sizes))
+    # By torch, whose float16 is a hundred times as fast as numpy's; frame by frame, for the cache.
+    ends = [torch.aminmax(torch.from_numpy(f)) for trajectory in frames for f in trajectory]
+    largest = float(torch.tensor(ends).abs().amax())
     if not math.isfinite(largest):
         raise ValueError(f"{path} holds frames that are not finite; record it again without them")
     return -_MARGIN * largest, _MARGIN * largest

@@ -22,8 +22,8 @@ from koop_service.learning.objective import DynamicsLoss, Loss, autoencoder_loss
 from koop_service.learning.parallel import Group
 from koop_service.learning.presets import Preset, Stage
 from koop_service.learning.recording import Recording
-from koop_service.learning.schedule import growing_horizon, learning_rate
-from koop_service.learning.windows import Windows, as_images, random_frames
+from koop_service.learning.schedule import drawn_horizon, growing_horizon, learning_rate
+from koop_service.learning.windows import Windows, as_images, held_frames, random_frames
 
 STAGES = ("autoencoder", "dynamics")
 _PATIENCE = 20  # steps in a row whose gradient is not finite, before training gives up
@@ -142,9 +142,10 @@ def _autoencoder(training: Training, setting: Setting) -> _Task:
     model, hardware = training.model, setting.hardware
     model.train()
     count = setting.group.share(setting.preset.autoencoder.batch)
+    frames = held_frames(setting.recording, hardware)
 
     def loss(_: int, rng: np.random.Generator) -> Loss:
-        images = random_frames(setting.recording, count, rng).to(hardware.device)
+        images = random_frames(frames, count, rng).to(hardware.device)
         return autoencoder_loss(model, images, hardware)
 
     statistics = [buffer for buffer in model.buffers() if buffer.is_floating_point()]
@@ -163,15 +164,14 @@ def _dynamics(training: Training, setting: Setting) -> _Task:
     trunk = nn.Sequential(*blocks[: preset.frozen_blocks])
     head = nn.Sequential(*blocks[preset.frozen_blocks :])
     roll = preset.roll_out(setting.recording.controls.shape[2])
-    memory = preset.memory - setting.recording.frames.nbytes
-    windows = Windows(setting.recording, trunk, memory, setting.hardware, setting.seed)
+    windows = Windows(setting.recording, trunk, _memory(setting), setting.hardware, setting.seed)
     _announce(windows, setting)
     objective = DynamicsLoss(head, model, training.dynamics, preset, roll, setting.hardware)
     count = setting.group.share(preset.dynamics.batch)
 
     def loss(step: int, rng: np.random.Generator) -> Loss:
         windows.go_to(step * windows.parts // preset.dynamics.steps)
-        horizon = growing_horizon(step, preset, roll)
+        horizon = drawn_horizon(growing_horizon(step, preset, roll), roll, rng)
         fitted = int(rng.integers(roll.fit_frames[0], roll.fit_frames[1] + 1))
         batch = windows.draw(count, fitted + roll.after(horizon), rng)
         return objective(batch, fitted, horizon, rng)
@@ -180,6 +180,12 @@ def _dynamics(training: Training, setting: Setting) -> _Task:
         _start_dynamics(training, setting, windows, objective)
     parameters = [*head.parameters(), *model.decoder.parameters(), *training.dynamics.parameters()]
     return _Task(parameters, [], loss)
+
+
+def _memory(setting: Setting) -> float:
+    """For the frozen blocks' outputs [bytes]: the preset's less the frames, or a GPU's own."""
+    free = setting.hardware.free_memory()
+    return free / 4 if free else setting.preset.memory - setting.recording.frames.nbytes
 
 
 def _announce(windows: Windows, setting: Setting) -> None:

@@ -18,20 +18,41 @@ _VALUES = 200 * 64 * 64  # of the frames that the frozen blocks see at a time
 class Batch:
     """B windows of L frames.
 
-    `inputs` (B L, c, h, w) are what the trained part of the encoder sees; `images` (B, L, ...) are
-    as recorded; `controls` (B, L-1, p) float32.
+    `inputs` (B L, c, h, w) are what the trained part of the encoder sees; `controls` (B, L-1, p)
+    float32. The windows' pictures stay where they lie: in `frames` (N, T, ...) as recorded, of
+    which the windows begin at `starts` (B,) of the trajectories `rows` (B,).
     """
 
     inputs: Tensor
-    images: Tensor
+    frames: Tensor
+    rows: Tensor
+    starts: Tensor
     controls: Tensor
 
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(B, L)."""
+        return len(self.rows), self.controls.shape[1] + 1
 
-def random_frames(recording: Recording, count: int, rng: np.random.Generator) -> Tensor:
-    """(count, C, H, W) as in `as_images`."""
-    trajectories, length = recording.frames.shape[:2]
+    def images(self, chosen: Tensor) -> Tensor:
+        """(len(chosen), C, H, W) as in `as_images`; frames are counted through all windows."""
+        chosen = chosen.to(self.frames.device)
+        windows, after = chosen // self.shape[1], chosen % self.shape[1]
+        return as_images(self.frames[self.rows[windows], self.starts[windows] + after])
+
+
+def random_frames(frames: Tensor, count: int, rng: np.random.Generator) -> Tensor:
+    """(count, C, H, W) as in `as_images`, of frames (N, T, ...)."""
+    trajectories, length = frames.shape[:2]
     which, when = rng.integers(trajectories, size=count), rng.integers(length, size=count)
-    return as_images(torch.from_numpy(recording.frames[which, when]))
+    return as_images(frames[torch.from_numpy(which), torch.from_numpy(when)])
+
+
+def held_frames(recording: Recording, hardware: Hardware) -> Tensor:
+    """The frames (N, T, ...) on the device, if it has the memory, or where they lie."""
+    if recording.frames.nbytes > hardware.free_memory() / 2:
+        return torch.from_numpy(recording.frames)
+    return torch.stack([torch.from_numpy(f).to(hardware.device) for f in recording.frames])
 
 
 def as_images(frames: Tensor) -> Tensor:
@@ -59,6 +80,7 @@ class Windows:
         seed: int,
     ) -> None:
         self._recording, self._trunk, self._hardware = recording, trunk, hardware
+        self._frames = held_frames(recording, hardware)
         self._features: Tensor | None = None
         self._parts = [np.arange(len(recording.frames))]
         self._part = 0
@@ -95,20 +117,27 @@ class Windows:
         total = self._recording.frames.shape[1]
         rows = rng.integers(len(self.held), size=count)
         starts = rng.integers(total - length + 1, size=count)
-        windows = [
-            (row, self.held[row], start, start + length)
-            for row, start in zip(rows, starts, strict=True)
-        ]
-        frames, controls = self._recording.frames, self._recording.controls
-        frames = np.stack([frames[i, a:b] for _, i, a, b in windows])
-        controls = np.stack([controls[i, a : b - 1] for _, i, a, b in windows])
-        images = torch.from_numpy(frames).to(self._hardware.device)
+        times = starts[:, None] + np.arange(length)
+        trajectories = self.held[rows]
+        controls = self._recording.controls[trajectories[:, None], times[:, :-1]]
+        device = self._frames.device
+        return Batch(
+            self._inputs(rows, trajectories, times),
+            self._frames,
+            torch.from_numpy(trajectories).to(device),
+            torch.from_numpy(starts).to(device),
+            torch.from_numpy(controls).float().to(self._hardware.device),
+        )
+
+    def _inputs(self, rows: np.ndarray, trajectories: np.ndarray, times: np.ndarray) -> Tensor:
+        """(B L, c, h, w) of the frames `times` (B, L)."""
+        source = self._frames if self._features is None else self._features
+        held = trajectories if self._features is None else rows
+        which, when = (torch.from_numpy(x).to(source.device) for x in (held[:, None], times))
+        found = source[which, when].flatten(0, 1)
         if self._features is None:
-            inputs = as_images(images.flatten(0, 1))
-        else:
-            features = torch.stack([self._features[row, a:b] for row, _, a, b in windows])
-            inputs = features.flatten(0, 1).permute(0, 3, 1, 2).to(self._hardware.precision)
-        return Batch(inputs, images, torch.from_numpy(controls).float().to(self._hardware.device))
+            return as_images(found.to(self._hardware.device))
+        return found.permute(0, 3, 1, 2).to(self._hardware.precision)
 
     def _room(self, memory: float) -> Tensor:
         """(trajectories, T, h, w, c) for as many trajectories as `memory` holds."""

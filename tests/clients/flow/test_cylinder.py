@@ -134,7 +134,7 @@ def wake() -> tuple[CylinderFlow, np.ndarray, np.ndarray]:
 
 
 def test_the_wake_sheds_at_the_frequency_of_the_literature(wake: Any) -> None:
-    """0.1226 at Re 50 (Williamson 1989); side walls at 6 D speed it up.
+    """0.1226 at Re 50 (Williamson 1989); a small domain speeds it up.
 
     The cylinder fills 1/12 of the channel, so the stream passes it faster by 1/(1 - 1/12). On this
     grid the corrected value is within 6%.

@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 
 from koop_clients.dataset.cli import Arguments, write
-from koop_clients.dataset.flow import FlowRecipe, write_flow
+from koop_clients.dataset.flow import write_flow
+from koop_clients.dataset.moments import FlowRecipe
 from koop_clients.flow.cylinder import CylinderFlow
 from koop_clients.flow.forcing import feedback, schedule
 from koop_clients.flow.plant import starting
@@ -54,6 +55,24 @@ def test_the_file_is_a_koop_recording(small: CylinderFlow, tmp_path: Path) -> No
     assert entry["regime"] == "schedule"
     assert entry["reynolds"] == 15
     assert entry["frame_time"] == pytest.approx(small.settings.frame_time)
+
+
+def test_several_processes_write_the_same_file(small: CylinderFlow, tmp_path: Path) -> None:
+    made = recipe(small, regime="mix", trajectories=3, seed=3)
+    written: list[None] = []
+    write_flow(tmp_path / "one.h5", made)
+    write_flow(tmp_path / "two.h5", made, wrote=lambda: written.append(None), workers=2)
+    assert len(written) == 15
+    one, two = (contents(tmp_path / f"{name}.h5")[0] for name in ("one", "two"))
+    for name, values in one.items():
+        np.testing.assert_array_equal(values, two[name])
+
+
+def test_what_goes_wrong_in_a_process_is_told(small: CylinderFlow, tmp_path: Path) -> None:
+    made = recipe(small, regime="mix", trajectories=2, seed=-1)
+    with pytest.raises(ValueError, match="non-negative"):
+        write_flow(tmp_path / "a.h5", made, workers=2)
+    assert not list(tmp_path.iterdir())
 
 
 def test_frames_and_controls_are_numbered_alike(small: CylinderFlow, tmp_path: Path) -> None:

@@ -47,3 +47,18 @@ def test_rolls_out_what_it_fitted():
     future = controls[:, None, 10:30]
     ahead = roll_out(torch.tensor(theta)[None], history, future)
     np.testing.assert_allclose(ahead[0, 0].numpy(), codes[0, 11:31].numpy(), atol=1e-10)
+
+
+def test_a_roll_out_is_the_steps_one_after_the_other():
+    """Three restarts with a Theta each, of which some grow, and one Theta for all of them."""
+    rng = np.random.default_rng(3)
+    thetas = torch.tensor(rng.normal(size=(2, 3, 4, 11)) * 0.3)
+    history, controls = (torch.tensor(rng.normal(size=(2, 3, k, m))) for k, m in ((2, 4), (37, 2)))
+    for theta in (thetas, thetas[:, :1]):
+        ahead = roll_out(theta, history, controls)
+        assert ahead.shape == (2, 3, 37, 4)
+        recent = [history[:, :, 0], history[:, :, 1]]
+        for k in range(37):
+            w = torch.cat([*recent, controls[:, :, k], torch.ones(2, 3, 1)], dim=2)
+            recent = [recent[1], (theta @ w[..., None])[..., 0]]
+            torch.testing.assert_close(ahead[:, :, k], recent[1], rtol=1e-9, atol=1e-9)

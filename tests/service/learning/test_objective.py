@@ -36,7 +36,8 @@ def swinging(frames: int, change_at: int, pace_then: float = 0.55) -> Batch:
     brightness = 0.5 + 0.4 * np.sin(np.cumsum(pace) + np.array([[0.0], [1.0]]))
     images = torch.from_numpy(np.rint(255 * brightness).astype(np.uint8))
     images = images[:, :, None, None].expand(-1, -1, 64, 64)
-    return Batch(as_images(images.flatten(0, 1)), images, torch.zeros(2, frames - 1, 0))
+    inputs, starts = as_images(images.flatten(0, 1)), torch.zeros(2, dtype=torch.long)
+    return Batch(inputs, images, torch.arange(2), starts, torch.zeros(2, frames - 1, 0))
 
 
 def loss(roll: RollOut, batch: Batch, horizon: int, dynamics: Dynamics | None = None) -> Loss:

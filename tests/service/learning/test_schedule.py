@@ -2,10 +2,16 @@
 
 import dataclasses
 
+import numpy as np
 import pytest
 
 from koop_service.learning.presets import PRESETS, REGIMES, RollOut, Stage, with_regime
-from koop_service.learning.schedule import growing_horizon, learning_rate
+from koop_service.learning.schedule import (
+    drawn_horizon,
+    growing_horizon,
+    learning_rate,
+    mean_horizon,
+)
 
 from .blobs import smoke
 
@@ -15,6 +21,26 @@ def test_the_horizon_grows_from_one_to_its_end():
     horizons = [growing_horizon(step, preset, roll) for step in range(100)]
     assert (horizons[0], horizons[-1]) == (1, 20)
     assert horizons == sorted(horizons)
+
+
+def test_a_mixture_draws_horizons_of_each_octave_alike():
+    roll, rng = (
+        RollOut(fit_frames=(4, 8), horizon=64, rho=1e-3, shortest=8),
+        np.random.default_rng(0),
+    )
+    drawn = np.array([drawn_horizon(64, roll, rng) for _ in range(3000)])
+    assert (drawn.min(), drawn.max()) == (8, 64)
+    assert [np.mean((drawn >= k) & (drawn < 2 * k)) for k in (8, 16, 32)] == pytest.approx(
+        [1 / 3] * 3, abs=0.03
+    )
+    assert drawn.mean() == pytest.approx(mean_horizon(64, roll), rel=0.03)
+
+
+def test_without_a_mixture_every_batch_has_the_longest_horizon():
+    roll, rng = RollOut(fit_frames=(4, 8), horizon=64, rho=1e-3), np.random.default_rng(0)
+    assert drawn_horizon(5, roll, rng) == mean_horizon(5, roll) == 5
+    short = dataclasses.replace(roll, shortest=8)
+    assert drawn_horizon(5, short, rng) == mean_horizon(5, short) == 5
 
 
 def test_a_cosine_falls_to_a_hundredth():

@@ -80,7 +80,9 @@ def _times(results: Results) -> str:
     shed = (
         f"The natural wake of the test set sheds every {period:.2f} frames: {period * label:.2f} s "
         f"by the label, {period * own:.2f} D/U, a Strouhal number of {1 / (period * own):.3f} "
-        "(the side walls, 6 D away, raise it from 0.122 in the open). A fit sees "
+        "(0.123 in the open; the domain is small: with side walls at 9 D instead of 6 it is "
+        "0.135, and with the inlet at 15.5 and the outlet at 29.5 D, instead of 6.5 and 14.5, as "
+        "well, 0.127). A fit sees "
         f"{FIT_FRAMES / period:.1f} periods and predicts {AHEAD / period:.1f}. Were the label "
         f"taken at its word, in the units of the data, a period would have {literal:.0f} frames "
         "and a fit would see nothing of it."
