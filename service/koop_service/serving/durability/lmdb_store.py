@@ -40,6 +40,8 @@ _USERS = "estimators.lmdb-users"
 _FORMAT = b"koop-state-1"
 _TIME = struct.Struct("<d")
 """When a record was saved, in seconds since 1970."""
+_CLOCK_SET = 1.7e9
+"""No clock that is set shows an earlier time [s]."""
 _FIRST_SIZE = 64 << 20
 """Size of the map to begin with [bytes]; it doubles when it is full. The file is not larger than
 what is in it."""
@@ -123,14 +125,18 @@ class LmdbStore:
         self._change(claim, names, delete)
 
     def silent(self, shards: Collection[str], seconds: float) -> list[str]:
-        """See SnapshotStore. A record without a date, of an earlier koop's, gets today's."""
+        """See SnapshotStore. A record without a date, of an earlier koop's, gets today's; so does
+        one of a machine whose clock was not set yet.
+        """
         now = self._clock()
 
         def look(environment: lmdb.Environment) -> list[str]:
             times, records = environment.open_db(TIMES), environment.open_db(RECORDS)
             with environment.begin(write=True, db=times) as transaction:
                 for key in _keys(transaction.cursor(records), shards):
-                    transaction.put(key, _TIME.pack(now), overwrite=False)
+                    dated = transaction.get(key)
+                    if dated is None or _TIME.unpack(dated)[0] < _CLOCK_SET:
+                        transaction.put(key, _TIME.pack(now))
                 saved = _entries(transaction, times, shards)
                 return [name for name, time in saved if _TIME.unpack(time)[0] <= now - seconds]
 

@@ -33,6 +33,9 @@ class TestLmdbStore(StoreContract):
             yield store
 
 
+SET = 2e9  # a time that only a clock that is set shows
+
+
 def stored(folder: Path, count: int) -> dict[str, bytes]:
     """As many records in a closed file."""
     records = {f"cart/{i}": seal({"number": i}) for i in range(count)}
@@ -54,7 +57,7 @@ def test_records_and_claims_outlive_the_process(tmp_path: Path) -> None:
 
 
 def test_a_record_is_as_old_as_its_last_batch(tmp_path: Path) -> None:
-    now = [1000.0]
+    now = [SET]
     with closing(LmdbStore(tmp_path, lambda: now[0])) as store:
         claim = store.claim("me", EVERY_SHARD)
         store.save(claim, {"a": seal({"n": 1}), "b": seal({"n": 1})})
@@ -66,6 +69,17 @@ def test_a_record_is_as_old_as_its_last_batch(tmp_path: Path) -> None:
         assert store.silent(EVERY_SHARD, 121.0) == []
 
 
+def test_records_of_before_the_clock_was_set_are_young(tmp_path: Path) -> None:
+    """A machine without a battery begins in 1970, and is set when it finds a server."""
+    now = [30.0]
+    with closing(LmdbStore(tmp_path, lambda: now[0])) as store:
+        store.save(store.claim("me", EVERY_SHARD), {"a": seal({"n": 1})})
+        now[0] = SET
+        assert store.silent(EVERY_SHARD, 60.0) == []
+        now[0] += 60.0
+        assert store.silent(EVERY_SHARD, 60.0) == ["a"]
+
+
 def test_records_of_before_there_were_dates_are_young(tmp_path: Path) -> None:
     stored(tmp_path, 3)
     with (
@@ -73,7 +87,7 @@ def test_records_of_before_there_were_dates_are_young(tmp_path: Path) -> None:
         environment.begin(write=True) as transaction,
     ):
         transaction.drop(environment.open_db(b"times", transaction), delete=True)
-    now = [1000.0]
+    now = [SET]
     with closing(LmdbStore(tmp_path, lambda: now[0])) as store:
         assert len(store.load(EVERY_SHARD)) == 3
         assert store.silent(EVERY_SHARD, 60.0) == []
