@@ -22,6 +22,7 @@ from koop_service.serving.durability.store import EVERY_SHARD, StoreError
 from .store_contract import StoreContract
 
 FILE = "estimators.lmdb"
+SET = 2e9  # a time that only a clock that is set shows
 
 
 class TestLmdbStore(StoreContract):
@@ -31,9 +32,6 @@ class TestLmdbStore(StoreContract):
     def store(self, tmp_path: Path):
         with closing(LmdbStore(tmp_path / "new" / "folder")) as store:
             yield store
-
-
-SET = 2e9  # a time that only a clock that is set shows
 
 
 def stored(folder: Path, count: int) -> dict[str, bytes]:

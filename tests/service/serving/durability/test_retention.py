@@ -25,7 +25,7 @@ class Bench:
     """A store with three records, the calendar and the clock."""
 
     def __init__(self, folder: Path) -> None:
-        self.date, self.now, self.here = 0.0, 0.0, {"b"}
+        self.date, self.now, self.here = 2e9, 0.0, {"b"}
         self.store = LmdbStore(folder, lambda: self.date)
         self.claim = self.store.claim("me", EVERY_SHARD)
         self.metrics = Metrics()
