@@ -19,13 +19,14 @@ from koop_service.serving.metrics import Metrics
 from .store_contract import name_of
 
 DAY = 86400.0
+START = 2e9  # a date that only a clock that is set shows
 
 
 class Bench:
     """A store with three records, the calendar and the clock."""
 
     def __init__(self, folder: Path) -> None:
-        self.date, self.now, self.here = 2e9, 0.0, {"b"}
+        self.date, self.now, self.here = START, 0.0, {"b"}
         self.store = LmdbStore(folder, lambda: self.date)
         self.claim = self.store.claim("me", EVERY_SHARD)
         self.metrics = Metrics()
@@ -56,11 +57,11 @@ def test_what_is_silent_for_so_long_is_deleted_unless_it_is_in_memory(
     bench: Bench, caplog: pytest.LogCaptureFixture
 ) -> None:
     retention = bench.retention(days=30)
-    bench.date = 29 * DAY
+    bench.date = START + 29 * DAY
     retention.step()
     assert bench.left() == ["a", "b", "c"]
     bench.store.save(bench.claim, {"c": b"2"})
-    bench.date = 30 * DAY
+    bench.date = START + 30 * DAY
     retention.step()
     assert bench.left() == ["a", "b", "c"], "it looks but once an hour"
     bench.now += 3600.0
@@ -82,7 +83,7 @@ def test_who_has_lost_a_shard_deletes_nothing_of_it(bench: Bench) -> None:
     lost = name_of("00")
     bench.store.save(bench.claim, {lost: b"1"})
     bench.store.claim("successor", {"00"})
-    bench.date = 2 * DAY
+    bench.date = START + 2 * DAY
     with pytest.raises(FencedError):
         bench.retention(days=1).step()
     assert lost in bench.left()
@@ -92,7 +93,7 @@ def test_who_has_lost_a_shard_deletes_nothing_of_it(bench: Bench) -> None:
 
 
 def test_the_keeper_looks_by_itself_and_goes_on_storing(bench: Bench) -> None:
-    bench.date = 2 * DAY
+    bench.date = START + 2 * DAY
     keeper = Keeper(
         bench.store,
         bench.claim,
