@@ -16,15 +16,17 @@ from dataclasses import dataclass, field, replace
 from koop_protocol import ProtocolError
 
 _NEVER = float("inf")
+_CONTROLS = "koop/control/"
 _STRANGERS = ""
 """The share of lanes that are not known; no lane has this name."""
 _PART = 8
 """A share has at most this part of the room, where that is more than the least."""
 _LEAST_MESSAGES, _LEAST_SIZE = 64, 1 << 20
-_PACE = 0.005
-"""While others are active, a share gets one measurement in this time [s] on the average, ..."""
-_BURST = 2
-"""... and this many at once, such as a frame and its control: others wait for what is in work."""
+_PACE = 0.01
+"""While others are active, a share gets one frame in this time [s], and never two at once: others
+wait for what is in work. ..."""
+_CONTROL = 0.001
+"""... A control, which is never encoded, takes so much of that [s], and goes with its frame."""
 _ACTIVE = 1.0
 """How long after its last measurement a share still counts as active [s]."""
 
@@ -146,11 +148,11 @@ class Turns:
     def take_of(self, lane: str, before: int, count: int, now: float) -> list[Arrival]:
         """The oldest of one lane with a ticket below `before`, out of turn."""
         batch: list[Arrival] = []
-        most = min(count, _BURST) if self._is_crowded(now) else count
+        most = min(count, 2) if self._is_crowded(now) else count  # a frame and its control
         while len(batch) < most and self.oldest_of(lane) < before:
             arrival = self._remove(lane)
             batch.append(replace(arrival))
-            self._pay(arrival.share, now)
+            self._pay(arrival, now)
             # Its place in the share stays until its turn; its bytes do not.
             arrival.taken, arrival.data = True, b""
         return batch
@@ -197,8 +199,8 @@ class Turns:
         while queue and queue[0].taken:
             queue.popleft()
         found = [self._remove(lane_of(queue.popleft().key))] if queue else []
-        if found:
-            self._pay(name, now)
+        for arrival in found:
+            self._pay(arrival, now)
         if queue:
             self._shares.move_to_end(name)
         else:
@@ -225,12 +227,22 @@ class Turns:
     def _turn_of(self, name: str) -> float:
         """When the share may have its next measurement."""
         activity = self._active.get(name)
-        return activity.paid - _PACE * (_BURST - 1) if activity else 0.0
+        if activity is None:
+            return 0.0
+        following = next((a for a in self._shares[name].queue if not a.taken), None)
+        is_frame = following is None or _is_frame(following)
+        return activity.paid - (0.0 if is_frame else _PACE)
 
-    def _pay(self, name: str, now: float) -> None:
-        activity = self._active.get(name)
+    def _pay(self, arrival: Arrival, now: float) -> None:
+        activity = self._active.get(arrival.share)
         if activity:
-            activity.paid = max(activity.paid, now) + _PACE
+            cost = _PACE if _is_frame(arrival) else _CONTROL
+            activity.paid = max(activity.paid, now) + cost
+
+
+def _is_frame(arrival: Arrival) -> bool:
+    """By its key; what is neither frame nor control counts as one."""
+    return not arrival.key.startswith(_CONTROLS)
 
 
 def _exceeds(messages: int, size: int, max_messages: int, max_size: int) -> bool:
