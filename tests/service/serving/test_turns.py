@@ -176,7 +176,9 @@ def test_strangers_have_one_share_together() -> None:
     bench.put("a")
     taken = bench.take()
     assert "a" in taken
-    assert sum(name != "a" for name in taken) == 1
+    assert 20 <= sum(name != "a" for name in taken) <= 21, (
+        "twenty times the pace of one that is known"
+    )
 
 
 def test_many_that_begin_at_once_do_not_stay_strangers() -> None:
