@@ -8,7 +8,6 @@ Each prints a line when it is there, and stays until it is killed.
 
 from __future__ import annotations
 
-import json
 import os
 import subprocess
 import sys
@@ -16,28 +15,22 @@ import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-import zenoh
 from integration.loopback import client
+
+from koop_service.serving.config import NetworkSettings
+from koop_service.serving.session import open_session
+
+_PATIENCE = 5_000_000
+"""Zenoh's own, for whoever does not read [us]."""
 
 
 def main(role: str, endpoint: str) -> None:
-    with _router(endpoint) if role == "router" else client(endpoint) as session:
+    router = NetworkSettings(listen=(endpoint,))
+    with open_session(router, _PATIENCE) if role == "router" else client(endpoint) as session:
         if role == "reader":
             session.declare_subscriber("koop/**", lambda _: None)
         print("there", flush=True)
         threading.Event().wait()
-
-
-def _router(endpoint: str) -> zenoh.Session:
-    config = zenoh.Config()
-    for key, value in {
-        "mode": "router",
-        "listen/endpoints": [endpoint],
-        "scouting/multicast/enabled": False,
-        "scouting/gossip/enabled": False,
-    }.items():
-        config.insert_json5(key, json.dumps(value))
-    return zenoh.open(config)
 
 
 @contextmanager
