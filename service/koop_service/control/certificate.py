@@ -26,7 +26,7 @@ DRIFT = 1.01
 MODE_SCORE = 2.5
 #: The same for a column of B.
 COLUMN_SCORE = 1.5
-#: How many times the prior's information a control's data must have.
+#: How many times the prior's information a control's data must have, if the prior knows nothing.
 INFORMATION = 10.0
 # Relative to the pair's size: a margin below it is zero up to rounding.
 _UNREACHED = 1e-9
@@ -84,6 +84,7 @@ def certify(
     du_min: ArrayLike | None = None,
     du_max: ArrayLike | None = None,
     *,
+    informed: bool = False,
     seed: int = 0,
 ) -> Certificate:
     """Judge a model after its warm-up.
@@ -91,6 +92,8 @@ def certify(
     S: (n, n) covariance of the one-step residual. R: (d, d) the estimator's factor, R^T R = W W^T +
     rho I; it knows what the estimator remembers, all since the start where nothing is forgotten.
     innovations: (K, n), the last K normalised ones (say 10); with none the residual is 0.
+    informed: the prior is centred on a Theta that was learned from other trajectories, so that B is
+    known before this one's data say anything.
     Bounds as for `build_lqr`, for the margin's units and the probing input. Raises ValueError for
     shapes that do not fit and a model without controls.
     """
@@ -105,7 +108,7 @@ def certify(
     residual, band = _residual(innovations, S)
     reasons = (
         *(_why_lost(mode) for mode in lost),
-        *(_why_unknown(j, scores[j], information[j]) for j in range(p)),
+        *(_why_unknown(j, scores[j], np.inf if informed else information[j]) for j in range(p)),
         _why_surprised(len(innovations), residual, band),
     )
     found = tuple(reason for reason in reasons if reason)
