@@ -92,6 +92,15 @@ class EstimatorSettings:
         centre.setflags(write=False)
         return centre
 
+    @property
+    def ignorance(self) -> float:
+        """Weight of a prior that knows nothing: rho, and 0 where its mean was learned.
+
+        Zero says nothing of how far Theta is from it, so where data are missing rho makes an
+        estimate look surer than it is. Around a learned mean it says just that: by about S / rho.
+        """
+        return 0.0 if self.prior_mean else self.rho
+
     @cached_property
     def refill_stride(self) -> int:
         """Steps between two refills of the prior (see `factor.py`); 0: it never decays.

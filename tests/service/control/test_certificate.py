@@ -30,7 +30,7 @@ def learned(plant, controls, affine=False, seed=0, history=None, **prior):
         E.append(bank.fold(np.array([lane]), w[None], codes[-1][None])[0].copy())
     model = LinearModel.from_theta(bank.theta(lane), settings)
     R = bank.factor(lane).R
-    return model, bank.covariance(lane), R, settings.rho, np.stack(E[-10:])
+    return model, bank.covariance(lane), R, settings.ignorance, np.stack(E[-10:])
 
 
 def excitation(steps, p, seed=1, size=1.0):
@@ -107,12 +107,16 @@ def test_what_a_control_does_may_be_known_before_it_moves():
     plant = pendulum(h=2, gravity=-20.0)
     still, start = np.zeros((60, 1)), np.array([[0.3, 0.0], [0.3, 0.0]])
     mean = tuple(map(tuple, np.hstack([plant.A, plant.B]).tolist()))
-    arguments = learned(plant, still, history=start, rho=1.0, prior_mean=mean)
-    assert "hardly moved" in certify(*arguments, -1.0, 1.0).reasons[0]
-    assert certify(*arguments, -1.0, 1.0, informed=True).fit
+    ignorant = learned(plant, still, history=start, rho=1.0)
+    assert "hardly moved" in "".join(certify(*ignorant, -1.0, 1.0).reasons)
+    informed = learned(plant, still, history=start, rho=1.0, prior_mean=mean)
+    certificate = certify(*informed, -1.0, 1.0)
+    assert certificate.fit
+    assert certificate.information[0] == np.inf
     nothing = tuple(map(tuple, np.hstack([plant.A, 0 * plant.B]).tolist()))
-    arguments = learned(plant, still, history=start, rho=1.0, prior_mean=nothing)
-    certificate = certify(*arguments, -1.0, 1.0, informed=True)
+    certificate = certify(
+        *learned(plant, still, history=start, rho=1.0, prior_mean=nothing), -1.0, 1.0
+    )
     assert not certificate.fit
     assert "what control 0 does is not known" in certificate.reasons[-1]
 

@@ -74,6 +74,12 @@ def test_before_any_measurement_the_model_is_the_mean() -> None:
     np.testing.assert_allclose(bank.theta(lane), mean, rtol=1e-15)
 
 
+def test_a_prior_that_knows_nothing_is_told_from_one_that_does() -> None:
+    plain = EstimatorSettings(3, 2, 1, rho=0.3)
+    assert plain.ignorance == 0.3
+    assert around(plain, seed=0)[0].ignorance == 0
+
+
 @pytest.mark.parametrize(
     ("mean", "complaint"),
     [
