@@ -1,7 +1,7 @@
 """What is fitted to each trajectory and what is learned for all: ours, and the two baselines.
 
 - fitted: Theta is the proximal fit to each trajectory (eq. 5 to 7, 11); nothing is learned, or,
-  where it is `centred`, the Theta that the fit's prior is centred on.
+  with `around_mean`, the Theta that the fit's prior is centred on.
 - learned-A: one Theta for all trajectories, a parameter like the network's ([17] of the paper).
 - learned-B: the columns of Theta that act on the controls are a parameter, the others are fitted
   to what the controls leave ([6]).
@@ -47,11 +47,12 @@ class Sizes:
 class Dynamics(nn.Module):
     """One of KINDS; `matrix` is what is learned: (n, d) of learned-A, (n, p) of learned-B.
 
-    centred: FITTED learns the prior's mean (n, d) too.
+    rho: weight of the fit's prior. around_mean: where it is not 0, FITTED learns the prior's mean
+    (n, d) too, and this is the weight around it.
     """
 
     def __init__(
-        self, kind: str, sizes: Sizes, rho: float, refinements: int, centred: bool = False
+        self, kind: str, sizes: Sizes, rho: float, refinements: int, around_mean: float = 0.0
     ) -> None:
         super().__init__()
         if kind == "learned-B" and not sizes.control:
@@ -60,7 +61,8 @@ class Dynamics(nn.Module):
                 "record an actuated system, or train with --dynamics learned-A"
             )
         self.kind, self.sizes = kind, sizes
-        self.rho, self.refinements = rho, refinements
+        centred = kind == FITTED and around_mean > 0
+        self.rho, self.refinements = around_mean if centred else rho, refinements
         mean = sizes.regressor if centred else 0
         columns = {FITTED: mean, "learned-A": sizes.regressor, "learned-B": sizes.control}[kind]
         self.matrix = nn.Parameter(torch.zeros(sizes.code, columns)) if columns else None

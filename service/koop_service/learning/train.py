@@ -88,7 +88,7 @@ def begin(setting: Setting, dynamics: str, warm: Autoencoder | None = None) -> T
     controls = recording.controls.shape[2]
     sizes = Sizes(model.code_size, preset.history, controls)
     roll = preset.roll_out(controls)
-    fit = Dynamics(dynamics, sizes, roll.rho, preset.refinements, roll.centred)
+    fit = Dynamics(dynamics, sizes, roll.rho, preset.refinements, roll.around_mean)
     setting.group.agree(list(model.state_dict().values()))
     done = warm is not None and not preset.autoencoder.steps
     return Training(model, fit.to(setting.hardware.device), stage=int(done))

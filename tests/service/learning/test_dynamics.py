@@ -31,7 +31,7 @@ def test_fitted_is_the_proximal_solve_of_each_window():
 
 def test_a_centred_fit_is_one_to_what_the_learned_mean_leaves():
     W, Y, theta = measurements()
-    dynamics = Dynamics("fitted", SIZES, 10.0, 2, centred=True)
+    dynamics = Dynamics("fitted", SIZES, 1e-2, 2, around_mean=10.0)
     assert not torch.allclose(dynamics(W, Y), theta.expand(len(W), -1, -1), atol=1e-2)
     dynamics.initialise(W, Y)
     mean = dynamics.matrix.detach().double()
@@ -70,7 +70,8 @@ def test_learned_b_is_kept_and_the_rest_is_fitted_around_it():
 @pytest.mark.parametrize("kind", ["fitted", "learned-A", "learned-B"])
 def test_the_gradient_reaches_what_is_learned(kind):
     W, Y, _ = measurements()
-    dynamics = Dynamics(kind, SIZES, 1e-3, 2, centred=True)
+    dynamics = Dynamics(kind, SIZES, 1e-3, 2, around_mean=1.0)
+    assert dynamics.rho == (1.0 if kind == "fitted" else 1e-3)
     dynamics(W, Y).square().sum().backward()
     Y.requires_grad_()
     dynamics(W, Y + 1).sum().backward()

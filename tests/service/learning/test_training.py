@@ -140,9 +140,8 @@ def test_training_goes_on_from_weights(written, recording_file, tmp_path):
 
 def test_a_prior_that_is_learned_with_the_network_or_else_afterwards(recording):
     preset = smoke(2, 2)
-    preset = dataclasses.replace(
-        preset, actuated=dataclasses.replace(preset.actuated, centred=True)
-    )
+    roll = dataclasses.replace(preset.actuated, around_mean=1.0)
+    preset = dataclasses.replace(preset, actuated=roll)
     training, _ = trained(recording, preset)
     codec = ImageCodec(training.model, ModelCard("blobs", "test", 0.05))
     learned = cli.prior_mean(training, codec, recording)
