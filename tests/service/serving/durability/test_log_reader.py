@@ -5,6 +5,7 @@ from __future__ import annotations
 import queue
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import partial
 
 import pytest
 import zenoh
@@ -43,12 +44,16 @@ def test_what_is_under_way_is_bounded_by_what_may_come_back(behind: int) -> None
     with asked(count, room) as (questions, answers):
         wait_until(lambda: len(questions) == most)
         for number in range(count):
-            wait_until(lambda: len(questions) > number)
+            wait_until(partial(_holds, questions, number))
             assert len(questions) - number <= most
             with questions[number] as query:
                 query.reply(replay_key(NAME), b"x")
             answer = answers.get(timeout=30.0)
             assert (answer.question.number, answer.payload) == (number, b"x")
+
+
+def _holds(questions: list[zenoh.Query], number: int) -> bool:
+    return len(questions) > number
 
 
 def test_few_are_asked_for_much_and_many_for_little() -> None:
