@@ -8,7 +8,7 @@ work just when somebody else's comes: they go with others' frames.
 from __future__ import annotations
 
 from collections import OrderedDict, deque
-from collections.abc import Iterable
+from collections.abc import Collection
 from dataclasses import dataclass, field
 
 from koop_service.serving.arrivals import STRANGERS, Arrival
@@ -48,12 +48,14 @@ class Share:
         """It takes no room any more; its place in the queue may stay."""
         self._count(arrival, -1)
 
-    def give_up(self, arrivals: Iterable[Arrival]) -> None:
+    def give_up(self, arrivals: Collection[Arrival]) -> None:
         """These go elsewhere."""
-        gone = {id(arrival) for arrival in arrivals if not self.discount(arrival)}
+        for arrival in arrivals:
+            self.discount(arrival)
+        gone = set(map(id, arrivals))
         self.queue = deque(arrival for arrival in self.queue if id(arrival) not in gone)
 
-    def next(self) -> Arrival | None:
+    def oldest(self) -> Arrival | None:
         """The oldest that was not taken; those before it are let go."""
         while self.queue and self.queue[0].taken:
             self.queue.popleft()
@@ -97,7 +99,7 @@ class Paces:
 
     def turn_of(self, name: str, share: Share, *, rides: bool = False) -> float:
         """When the share may have its next measurement; `rides`: with another's."""
-        activity, following = self._active.get(name), share.next()
+        activity, following = self._active.get(name), share.oldest()
         if activity is None or following is None:
             return 0.0
         if name == STRANGERS:

@@ -174,7 +174,7 @@ class Turns:
     def _take_one(self, name: str, now: float) -> list[Arrival]:
         """The share's oldest, if it still has one; then it is at the end of the line."""
         share = self._shares[name]
-        arrival = share.next()
+        arrival = share.oldest()
         if arrival is not None:
             share.queue.popleft()
             self._remove(lane_of(arrival.key))
