@@ -25,7 +25,7 @@ def test_what_lasts_is_raised_at_once(code: str) -> None:
     assert caught.value is error
 
 
-@pytest.mark.parametrize("code", sorted(PASSING - {ErrorCode.warming_up}))
+@pytest.mark.parametrize("code", sorted(PASSING - {ErrorCode.warming_up, ErrorCode.overloaded}))
 def test_what_passes_is_raised_after_ten_seconds(code: str, clock: list[float]) -> None:
     patience, error = Patience(), KoopError(code, "not now")
     for clock[0] in (0.0, 5.0, 10.0):
@@ -44,10 +44,11 @@ def test_an_answer_restores_patience(clock: list[float]) -> None:
         patience.try_with(error)
 
 
-def test_warming_up_may_take_its_time(clock: list[float]) -> None:
+@pytest.mark.parametrize("code", [ErrorCode.warming_up, ErrorCode.overloaded])
+def test_a_service_that_lives_may_take_its_time(code: str, clock: list[float]) -> None:
     patience = Patience()
     for clock[0] in range(0, 100, 5):
-        patience.try_with(KoopError(ErrorCode.warming_up, "1 of 36"))
+        patience.try_with(KoopError(code, "later"))
 
 
 def test_a_refusal_fits_into_a_row() -> None:

@@ -18,11 +18,14 @@ PASSING = frozenset(
 )
 """Any other refusal will not change while the stream stays what it is."""
 
+_LIVELY = frozenset({ErrorCode.warming_up, ErrorCode.overloaded})
+"""... and these say that the service lives, and will answer."""
+
 _LONGEST = 10.0  # s
 
 
 class Patience:
-    """Runs out with a refusal that lasts, or when none but passing ones have come for 10 s."""
+    """Runs out with a refusal that lasts, or after 10 s without a sign that the service lives."""
 
     def __init__(self) -> None:
         self._since: float | None = None
@@ -35,7 +38,7 @@ class Patience:
         """Put up with a refusal, or raise it."""
         if error.code not in PASSING:
             raise error
-        if error.code == ErrorCode.warming_up:
+        if error.code in _LIVELY:
             self.restore()
             return
         now = time.monotonic()

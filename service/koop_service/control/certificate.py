@@ -26,7 +26,7 @@ DRIFT = 1.01
 MODE_SCORE = 2.5
 #: The same for a column of B.
 COLUMN_SCORE = 1.5
-#: How many times the prior's information a control's data must have.
+#: How many times the prior's information a control's data must have, if the prior knows nothing.
 INFORMATION = 10.0
 # Relative to the pair's size: a margin below it is zero up to rounding.
 _UNREACHED = 1e-9
@@ -57,8 +57,8 @@ class Certificate:
     fit: no reason against control was found. reasons: in words, what was found and expected.
     modes: those not stable, fastest growing first. stabilisable: each of them is steered (or just
     drifts). scores: (p,) |B_j| over its standard deviation. information: (p,) what is known of
-    B_j, all else being unknown, over what the prior says. residual: root mean square of the recent
-    one-step residuals over the usual one; band: below which it counts as usual.
+    B_j, all else being unknown, over what a prior says that knows nothing. residual: root mean
+    square of the recent one-step residuals over the usual one; band: below which it is usual.
     probing: (T, p) an input that would let the model be learned; None where it is fit.
     """
 
@@ -77,7 +77,7 @@ def certify(
     model: LinearModel,
     S: Array,
     R: Array,
-    rho: float,
+    ignorance: float,
     innovations: Array,
     u_min: ArrayLike | None = None,
     u_max: ArrayLike | None = None,
@@ -90,6 +90,8 @@ def certify(
 
     S: (n, n) covariance of the one-step residual. R: (d, d) the estimator's factor, R^T R = W W^T +
     rho I; it knows what the estimator remembers, all since the start where nothing is forgotten.
+    ignorance: weight of a prior that knows nothing, 0 where B was known before this trajectory's
+    data said anything (`EstimatorSettings.ignorance`).
     innovations: (K, n), the last K normalised ones (say 10); with none the residual is 0.
     Bounds as for `build_lqr`, for the margin's units and the probing input. Raises ValueError for
     shapes that do not fit and a model without controls.
@@ -101,7 +103,7 @@ def certify(
     modes = unstable_modes(model, S, C, reach)
     lost = [mode for mode in modes if not _is_steered(model, mode)]
     scores = _ratio(np.linalg.norm(model.B, axis=0), np.sqrt(np.trace(S) * C))
-    information = 1.0 / (rho * C)
+    information = _ratio(np.ones(p), ignorance * C)
     residual, band = _residual(innovations, S)
     reasons = (
         *(_why_lost(mode) for mode in lost),

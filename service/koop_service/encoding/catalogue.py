@@ -75,10 +75,10 @@ def bundled_folder() -> Path:
     return Path(str(resources.files("koop_service"))) / "weights"
 
 
-def bundled_or_own(path: Path) -> Path:
-    """`path`, or the bundled weights where it is the name of a bundled model and no file."""
-    bundled = bundled_folder() / f"{path}.safetensors"
-    return bundled if bundled.exists() and not path.exists() else path
+def bundled_or_own(path: Path, folder: Path = Path()) -> Path:
+    """`path` in `folder`, or the bundled weights of that name where there is no such file."""
+    bundled, own = bundled_folder() / f"{path}.safetensors", folder / path
+    return bundled if bundled.exists() and not own.exists() else own
 
 
 def _bundled_patterns(name: str) -> tuple[str, ...]:

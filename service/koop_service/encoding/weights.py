@@ -6,7 +6,7 @@ import hashlib
 import json
 import math
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +17,7 @@ from torch import Tensor
 
 from koop_service.encoding.architecture import PAPER, Architecture
 from koop_service.encoding.autoencoder import IMAGE_SIZE, Autoencoder, channels_first
-from koop_service.estimation.settings import EstimatorSettings
+from koop_service.estimation.settings import EstimatorSettings, Rows
 from koop_service.prediction.uncertainty import SCALE_HORIZONS
 
 FORMAT = "koop-autoencoder-1"
@@ -35,6 +35,8 @@ class EstimatorDefaults:
 
     `band_scale`: factors of a prediction's standard deviations at `SCALE_HORIZONS`, measured on
     held-out trajectories with these settings; empty where none were.
+    `prior_mean`: the Theta (n, d) of all training trajectories together, for estimators with the
+    controls that it was learned with; empty where the prior is centred on zero.
     """
 
     history: int = 2
@@ -42,6 +44,7 @@ class EstimatorDefaults:
     forgetting: float = 1.0
     affine: bool = True
     band_scale: tuple[float, ...] = ()
+    prior_mean: Rows = field(default=(), repr=False)
 
     def __post_init__(self) -> None:
         good = all(math.isfinite(factor) and factor > 0 for factor in self.band_scale)
@@ -56,6 +59,8 @@ class EstimatorDefaults:
 
     def settings(self, code_size: int, control_size: int) -> EstimatorSettings:
         """The estimator settings for codes and controls of these sizes."""
+        d = self.history * code_size + control_size + int(self.affine)
+        fitting = len(self.prior_mean) == code_size and len(self.prior_mean[0]) == d
         return EstimatorSettings(
             code_size=code_size,
             history=self.history,
@@ -63,7 +68,16 @@ class EstimatorDefaults:
             affine=self.affine,
             rho=self.rho,
             forgetting=self.forgetting,
+            prior_mean=self.prior_mean if fitting else (),
         )
+
+    def check_prior_mean(self, code_size: int) -> None:
+        """Raises ValueError unless the prior's mean is none, or a Theta of codes of this size."""
+        if self.prior_mean:
+            columns = len(self.prior_mean[0])
+            controls = columns - self.history * code_size - int(self.affine)
+            sizes = self.settings(code_size, max(controls, 0))
+            replace(sizes, prior_mean=self.prior_mean)
 
 
 @dataclass(frozen=True)
@@ -100,6 +114,7 @@ class ModelCard:
         for name in ("system", "renderer", "dynamics"):
             if not isinstance(getattr(self, name), str):
                 raise ValueError(f"{name} is {getattr(self, name)!r}; expected text")
+        self.estimator.check_prior_mean(self.code_size)
         self.architecture.remainder(*channels_first(self.image_shape)[1:])
         low, high = self.value_range
         if not (math.isfinite(low) and math.isfinite(high) and low < high):
@@ -178,6 +193,7 @@ def _card(path: Path, metadata: Mapping[str, str]) -> ModelCard:
 
 
 def _estimator(fields: Mapping[str, Any]) -> EstimatorDefaults:
-    # JSON has lists, and cards written before bands were calibrated have no factors.
-    known = {"band_scale": (), **fields}
-    return EstimatorDefaults(**{**known, "band_scale": tuple(known["band_scale"])})
+    # JSON has lists; and older cards have neither factors of bands nor a prior's mean.
+    scale, mean = tuple(fields.get("band_scale", ())), fields.get("prior_mean", ())
+    rows = tuple(tuple(map(float, row)) for row in mean)
+    return EstimatorDefaults(**{**fields, "band_scale": scale, "prior_mean": rows})

@@ -2,9 +2,11 @@
 
 Convention: R is upper triangular with a positive diagonal, and
 
-    R^T R = W W^T + rho I,      R^T D = W Y^T  (+ rho centre^T once the prior was refilled),
+    R^T R = W W^T + rho I,      R^T D = W Y^T + rho centre,
 
 so eq. 5 is one triangular solve and W W^T, whose condition number is W's squared, is never formed.
+centre (d, n) is the Theta^T that the prior is centred on: the settings' `prior_mean`, until refills
+(below) move it.
 A measurement is one orthogonal transformation of the stacked rows:
 
     orthogonal * [ sqrt(lambda) R   sqrt(lambda) D ]  =  [ R'  D'  ]
@@ -67,16 +69,17 @@ class Factor:
 
 
 def init(settings: EstimatorSettings) -> Factor:
-    """The prior alone: R = sqrt(rho) I, D = 0."""
+    """The prior alone: R = sqrt(rho) I, D = sqrt(rho) centre."""
     d, n = settings.regressor_size, settings.code_size
     rows = np.zeros((d + 2, d + n))
     np.fill_diagonal(rows[:d, :d], np.sqrt(settings.rho))
+    rows[:d, d:] = np.sqrt(settings.rho) * settings.centre
     window = settings.window or 0
     return Factor(
         rows=rows,
         innovation=rows[d, d:],
-        anchor=np.zeros((d if settings.refill_stride else 0, n)),
-        centre=np.zeros((d if window else 0, n)),
+        anchor=settings.centre[: d if settings.refill_stride else 0].copy(),
+        centre=settings.centre[: d if window else 0].copy(),
         ring=np.zeros((window, d + n)),
     )
 

@@ -125,7 +125,7 @@ class FactorBatch:
         block, column = self._place(lane)
         gather(self._arrays.blocks[block], column, rows, d)
         rho, iterations = self.settings.rho, self.settings.solve_iterations
-        return solve(rows[:d, :d], rows[:d, d:], rho, iterations)
+        return solve(rows[:d, :d], rows[:d, d:], rho, iterations, self.settings.centre)
 
     def extract(self, lane: int) -> Factor:
         """A copy of the lane's factor, as the single-stream value."""

@@ -1,7 +1,7 @@
 """What an estimator is told once, before its first frame: sizes, prior and memory."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -10,6 +10,9 @@ from .compiled import Array
 
 #: Below this the memory is shorter than two frames, and the prior could underflow between refills.
 LOWEST_FORGETTING = 0.5
+
+#: A matrix as a plain value: settings are compared, hashed and written down.
+Rows = tuple[tuple[float, ...], ...]
 
 
 @dataclass(frozen=True)
@@ -24,6 +27,7 @@ class EstimatorSettings:
     forgetting: lambda, weight of a measurement one step older, in [0.5, 1]; 1 forgets nothing.
     window: measurements remembered at all (None: every one).
     refinements: k, proximal iterations of eq. 7 in a solve; 1 is plain ridge regression.
+    prior_mean: n rows of d numbers, the Theta that the prior is centred on; () stands for zero.
     """
 
     code_size: int
@@ -34,6 +38,7 @@ class EstimatorSettings:
     forgetting: float = 1.0
     window: int | None = None
     refinements: int = 2
+    prior_mean: Rows = field(default=(), repr=False, hash=False)
 
     def __post_init__(self) -> None:
         _require_count("code_size", self.code_size, 1)
@@ -49,6 +54,15 @@ class EstimatorSettings:
                 f"forgetting is {self.forgetting}; expected a number from {LOWEST_FORGETTING} to 1"
                 " (1 forgets nothing, 0.99 remembers about 100 frames)"
             )
+        if self.prior_mean:
+            self._check_prior_mean()
+
+    def _check_prior_mean(self) -> None:
+        n, d = self.code_size, self.regressor_size
+        if len(self.prior_mean) != n or any(len(row) != d for row in self.prior_mean):
+            raise ValueError(f"prior_mean is not {n} rows of {d} numbers, a Theta of these sizes")
+        if not np.isfinite(self.prior_mean).all():
+            raise ValueError("prior_mean holds NaN or infinity; expected finite numbers")
 
     @cached_property
     def regressor_size(self) -> int:
@@ -69,6 +83,23 @@ class EstimatorSettings:
     def warmup_frames(self) -> int:
         """Gapless frames that give `warmup_updates` transitions: h + 2 (h*n + p)."""
         return self.history + self.warmup_updates
+
+    @cached_property
+    def centre(self) -> Array:
+        """(d, n) prior_mean^T, read-only."""
+        shape = (self.regressor_size, self.code_size)
+        centre = np.array(self.prior_mean).T.copy() if self.prior_mean else np.zeros(shape)
+        centre.setflags(write=False)
+        return centre
+
+    @property
+    def ignorance(self) -> float:
+        """Weight of a prior that knows nothing: rho, and 0 where its mean was learned.
+
+        Zero says nothing of how far Theta is from it, so where data are missing rho makes an
+        estimate look surer than it is. Around a learned mean it says just that: by about S / rho.
+        """
+        return 0.0 if self.prior_mean else self.rho
 
     @cached_property
     def refill_stride(self) -> int:

@@ -59,7 +59,7 @@ def _ratios(trajectory: Encoded, defaults: EstimatorDefaults) -> Iterator[np.nda
     at = np.array(SCALE_HORIZONS) - 1
     for m in moments(trajectory, settings, max(SCALE_HORIZONS)):
         error = np.abs(m.future - rollout(m.model, m.history, m.controls))
-        std = rollout_std(m.model, m.history, m.controls, m.S, m.R, settings.rho)
+        std = rollout_std(m.model, m.history, m.controls, m.S, m.R, settings.ignorance)
         std = calibrated(std, defaults.band_scale)
         # What never moves is predicted to the last bit.
         known = np.isfinite(error) & np.isfinite(std) & (error > 0) & (std > 0)

@@ -19,15 +19,18 @@ from koop_service.encoding.weights import (
     EstimatorDefaults,
     ModelCard,
     fingerprint,
+    load_card,
     load_weights,
     save_weights,
 )
+from koop_service.estimation.settings import Rows
 
 try:
     from koop_service.learning import hardware
     from koop_service.learning.bands import band_scale
     from koop_service.learning.evaluation import encode_all, evaluate, frames_needed, select
     from koop_service.learning.parallel import joined
+    from koop_service.learning.pooled import plain_rows, pooled_theta
     from koop_service.learning.presets import PRESETS, Preset, with_regime
     from koop_service.learning.recording import Recording, load_recording
     from koop_service.learning.session import Files, InterruptedTrainingError, Session, say
@@ -122,13 +125,24 @@ def finish(session: Session, card: ModelCard) -> None:
     training.model.to("cpu")
     training.dynamics.to("cpu")
     view = session.look(len(session.unseen.frames))
+    matrix = training.dynamics.matrix
     if card.dynamics == FITTED:
-        card = judged(ImageCodec(training.model, card), session.unseen)
+        codec = ImageCodec(training.model, card)
+        mean = prior_mean(training, codec, session.setting.recording)
+        card, matrix = judged(codec, session.unseen, mean), None
     card = dataclasses.replace(card, figures={**card.figures, **view.errors()})
-    save_weights(files.out, training.model, card, training.dynamics.matrix)
+    save_weights(files.out, training.model, card, matrix)
     files.checkpoint.unlink(missing_ok=True)
     beside = [path.name for path in (files.log, files.strip) if path.exists()]
     print(f"wrote {', '.join([str(files.out), *beside])}: {summary(card, training)}")
+
+
+def prior_mean(training: Training, codec: ImageCodec, seen: Recording) -> Rows:
+    """What was learned with the network, or else afterwards."""
+    learned = training.dynamics.matrix
+    if learned is None or not learned.any():  # no step was taken
+        return pooled_theta(codec, seen)
+    return plain_rows(learned)
 
 
 def summary(card: ModelCard, training: Training) -> str:
@@ -268,18 +282,21 @@ def _start(path: Path, recording: Recording) -> Autoencoder:
     return model
 
 
-def judged(codec: ImageCodec, unseen: Recording) -> ModelCard:
-    """The codec's card with the best estimator settings, calibrated, and figures, on `unseen`."""
+def judged(codec: ImageCodec, unseen: Recording, mean: Rows) -> ModelCard:
+    """The codec's card with the best estimator settings, calibrated, and figures, on `unseen`.
+
+    The prior's mean is zero or `mean`.
+    """
     trajectories = encode_all(codec, unseen)
-    chosen = select(trajectories, codec.card.estimator)
+    chosen = select(trajectories, codec.card.estimator, mean)
     chosen = dataclasses.replace(chosen, band_scale=band_scale(trajectories, chosen))
     figures = dataclasses.asdict(evaluate(codec, trajectories, chosen))
     return dataclasses.replace(codec.card, estimator=chosen, figures=figures)
 
 
 def model_card(recording: Recording, preset: Preset, arguments: Arguments) -> ModelCard:
-    """Data, preset, seed and command of this training run."""
-    roll = preset.roll_out(recording.controls.shape[2])
+    """Data, preset, seed and command of this training run, and of the one that it started from."""
+    roll, start = preset.roll_out(recording.controls.shape[2]), arguments.start_from
     return ModelCard(
         system=recording.system,
         renderer=recording.renderer,
@@ -297,6 +314,7 @@ def model_card(recording: Recording, preset: Preset, arguments: Arguments) -> Mo
             "preset": {"name": arguments.preset, **dataclasses.asdict(preset)},
             "command": "koop-train " + shlex.join(sys.argv[1:]),
             "torch": torch.__version__,
+            **({"started_from": load_card(start).training} if start else {}),
         },
         dynamics=arguments.dynamics,
     )

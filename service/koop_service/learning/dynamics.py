@@ -1,6 +1,7 @@
 """What is fitted to each trajectory and what is learned for all: ours, and the two baselines.
 
-- fitted: Theta is the proximal fit to each trajectory (eq. 5 to 7, 11); nothing is learned.
+- fitted: Theta is the proximal fit to each trajectory (eq. 5 to 7, 11); nothing is learned, or,
+  with `around_mean`, the Theta that the fit's prior is centred on.
 - learned-A: one Theta for all trajectories, a parameter like the network's ([17] of the paper).
 - learned-B: the columns of Theta that act on the controls are a parameter, the others are fitted
   to what the controls leave ([6]).
@@ -44,9 +45,15 @@ class Sizes:
 
 
 class Dynamics(nn.Module):
-    """One of KINDS; `matrix` is what is learned: (n, d) of learned-A, (n, p) of learned-B."""
+    """One of KINDS; `matrix` is what is learned: (n, d) of learned-A, (n, p) of learned-B.
 
-    def __init__(self, kind: str, sizes: Sizes, rho: float, refinements: int) -> None:
+    rho: weight of the fit's prior. around_mean: where it is not 0, FITTED learns the prior's mean
+    (n, d) too, and this is the weight around it.
+    """
+
+    def __init__(
+        self, kind: str, sizes: Sizes, rho: float, refinements: int, around_mean: float = 0.0
+    ) -> None:
         super().__init__()
         if kind == "learned-B" and not sizes.control:
             raise ValueError(
@@ -54,16 +61,18 @@ class Dynamics(nn.Module):
                 "record an actuated system, or train with --dynamics learned-A"
             )
         self.kind, self.sizes = kind, sizes
-        self.rho, self.refinements = rho, refinements
-        columns = {"learned-A": sizes.regressor, "learned-B": sizes.control}.get(kind)
-        self.matrix = None if columns is None else nn.Parameter(torch.zeros(sizes.code, columns))
+        centred = kind == FITTED and around_mean > 0
+        self.rho, self.refinements = around_mean if centred else rho, refinements
+        mean = sizes.regressor if centred else 0
+        columns = {FITTED: mean, "learned-A": sizes.regressor, "learned-B": sizes.control}[kind]
+        self.matrix = nn.Parameter(torch.zeros(sizes.code, columns)) if columns else None
 
     def initialise(self, W: Tensor, Y: Tensor) -> None:
         """Start what is learned at the least squares of all trajectories of a batch together."""
         if self.matrix is None:
             return
         pooled = self._fit(W.flatten(0, 1)[None], Y.flatten(0, 1)[None])[0]
-        start = pooled if self.kind == "learned-A" else pooled[:, self.sizes.controls]
+        start = pooled[:, self.sizes.controls] if self.kind == "learned-B" else pooled
         with torch.no_grad():
             self.matrix.copy_(start)
 
@@ -74,6 +83,8 @@ class Dynamics(nn.Module):
         learned = self.matrix.double().expand(len(W), -1, -1)
         if self.kind == "learned-A":
             return learned
+        if self.kind == FITTED:
+            return learned + self._fit(W, Y.double() - W.double() @ learned.mT)
         return self._fit_around(learned, W, Y)
 
     def _fit(self, W: Tensor, Y: Tensor) -> Tensor:

@@ -15,7 +15,7 @@ import numpy as np
 
 from koop_service.encoding.image_codec import ImageCodec
 from koop_service.encoding.weights import EstimatorDefaults
-from koop_service.estimation.settings import EstimatorSettings
+from koop_service.estimation.settings import EstimatorSettings, Rows
 from koop_service.learning.recording import Recording
 from koop_service.learning.streaming import STRIDE, Encoded, moments
 from koop_service.prediction.rollout import rollout
@@ -25,6 +25,7 @@ HORIZONS = (1, 2, 5, 10, 20)  # frames
 # What `select` chooses from.
 _FORGETTING = (0.95, 0.97, 0.985, 1.0)
 _RHO = (1e-4, 1e-3, 1e-2, 1e-1)
+_RHO_AROUND_MEAN = (1e-2, 1e-1, 1.0, 10.0)
 _TOLERANCE = 1.1
 
 
@@ -75,17 +76,20 @@ def evaluate(
     )
 
 
-def select(trajectories: list[Encoded], defaults: EstimatorDefaults) -> EstimatorDefaults:
-    """The forgetting factor and rho with the least code error over all horizons.
+def select(
+    trajectories: list[Encoded], defaults: EstimatorDefaults, mean: Rows = ()
+) -> EstimatorDefaults:
+    """Forgetting, rho and the prior's mean (zero, or `mean`) with the least code error.
 
-    Of choices within `_TOLERANCE` of the best, the one that forgets fastest: the held-out plants
-    never change, a user's may.
+    It is taken over all horizons. Of choices within `_TOLERANCE` of the best, the one that forgets
+    fastest: the held-out plants never change, a user's may.
     """
     errors = {
         choice: _code_error(trajectories, choice)
         for choice in (
-            dataclasses.replace(defaults, forgetting=forgetting, rho=rho)
-            for forgetting, rho in itertools.product(_FORGETTING, _RHO)
+            dataclasses.replace(defaults, forgetting=forgetting, rho=rho, prior_mean=centre)
+            for centre, weights in (((), _RHO), (mean, _RHO_AROUND_MEAN))[: 2 if mean else 1]
+            for forgetting, rho in itertools.product(_FORGETTING, weights)
         )
     }
     least = min(errors.values())

@@ -44,7 +44,9 @@ class RollOut:
     and each has a fit of its own to everything measured until then: the paper's partial (or, with
     horizon 1, full) updates.
 
-    With `shortest`, each batch draws its horizon between that and `horizon`.
+    With `shortest`, each batch draws its horizon between that and `horizon`. Where
+    `around_mean` is given, the prior of our own fit is centred on a Theta that is learned with the
+    network, and weighs so much instead of `rho`.
     """
 
     fit_frames: tuple[int, int]
@@ -55,6 +57,7 @@ class RollOut:
     beyond: int = 0
     refit: bool = False
     shortest: int = 0
+    around_mean: float = 0.0
 
     def after(self, horizon: int) -> int:
         """Frames of a window after the fit while `horizon` frames are predicted."""
@@ -126,6 +129,11 @@ _CPU = Preset(
     actuated=RollOut(fit_frames=(60, 98), horizon=20, rho=1e-3, restarts=9, short=15, beyond=40),
 )
 
+# Windows of all the lengths that are judged; a fit of more numbers than it has frames needs to know
+# what all trajectories have in common.
+_LONG = {"fit_frames": (16, 40), "shortest": 8, "horizon": 100}
+_FORCED = RollOut(**_LONG, rho=1e-2, around_mean=1.0, restarts=5, short=4, beyond=16)
+
 # Windows of 32 frames, 16 to fit and 16 to predict, batches of 16, 1e-3 (section A.3). A field is a
 # whole state, which pictures are not: one frame of history will do.
 _FLOW = replace(
@@ -133,7 +141,7 @@ _FLOW = replace(
     autoencoder=Stage(3000, batch=16, rate=3e-3, clip=1.0),
     dynamics=Stage(2000, batch=16, rate=1e-3, clip=0.1),
     free=RollOut(fit_frames=(16, 16), horizon=16, rho=1e-3, restarts=5, short=4, beyond=16),
-    actuated=RollOut(fit_frames=(16, 16), horizon=16, rho=1e-2, restarts=5, short=4, beyond=16),
+    actuated=_FORCED,
     predicted=24,
     reconstructed=8,
     history=1,
@@ -142,9 +150,6 @@ _FLOW = replace(
     held_out=0.12,
     segment=128,
 )
-
-# For a GPU: windows of all the lengths that are judged, and several times as many.
-_LONG = {"fit_frames": (16, 40), "shortest": 8, "horizon": 100}
 
 PRESETS = {
     "cpu": _CPU,
@@ -168,7 +173,6 @@ PRESETS = {
         autoencoder=Stage(8000, batch=64, rate=3e-3, clip=1.0),
         dynamics=Stage(4750, batch=64, rate=1e-3, clip=0.1),
         free=replace(_FLOW.free, **_LONG),
-        actuated=replace(_FLOW.actuated, **_LONG),
         predicted=96,
         reconstructed=32,
     ),

@@ -52,7 +52,8 @@ def moments(trajectory: Encoded, settings: EstimatorSettings, ahead: int) -> Ite
     h, lane = settings.history, np.zeros(1, np.int64)
     for t in range(h - 1, len(codes) - 1):
         if t >= settings.warmup_frames and t % STRIDE == 0 and t + ahead < len(codes):
-            theta = solve(state.R, state.D, settings.rho, settings.solve_iterations)
+            rho, iterations = settings.rho, settings.solve_iterations
+            theta = solve(state.R, state.D, rho, iterations, settings.centre)
             yield Moment(
                 t,
                 LinearModel.from_theta(theta, settings),

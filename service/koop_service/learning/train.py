@@ -87,7 +87,8 @@ def begin(setting: Setting, dynamics: str, warm: Autoencoder | None = None) -> T
     model.to(setting.hardware.device, memory_format=torch.channels_last)  # pyright: ignore[reportCallIssue]
     controls = recording.controls.shape[2]
     sizes = Sizes(model.code_size, preset.history, controls)
-    fit = Dynamics(dynamics, sizes, preset.roll_out(controls).rho, preset.refinements)
+    roll = preset.roll_out(controls)
+    fit = Dynamics(dynamics, sizes, roll.rho, preset.refinements, roll.around_mean)
     setting.group.agree(list(model.state_dict().values()))
     done = warm is not None and not preset.autoencoder.steps
     return Training(model, fit.to(setting.hardware.device), stage=int(done))

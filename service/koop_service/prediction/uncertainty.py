@@ -41,7 +41,7 @@ def rollout_std(
 
     S: (n, n) covariance of the one-step residual. R: (d, d) upper triangular, the estimator's
     factor, R^T R = W W^T + rho I; d = h*n + p, plus 1 when the estimator is affine. rho: the
-    prior's weight; with 0 nothing is added for what the prior decided.
+    prior's weight, if it knows nothing; with 0 nothing is added for what the prior decided.
     The measured history is taken as exact. Raises ValueError for shapes that do not fit.
     """
     codes = rollout(model, history, controls)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from koop_protocol import ErrorCode, ProtocolError
 from koop_service.encoding.catalogue import Catalogue, ModelEntry
 from koop_service.encoding.image_codec import ImageCodec
@@ -12,16 +14,15 @@ from koop_service.serving.config import EstimatorChoices
 
 def settings_for(entry: ModelEntry, chosen: EstimatorChoices, p: int) -> EstimatorSettings:
     """What the user chose, else what the model's card recommends, for p controls."""
-    card = entry.card.estimator
-    return EstimatorSettings(
-        code_size=entry.card.code_size,
-        history=card.history if chosen.history is None else chosen.history,
-        control_size=p,
-        affine=card.affine if chosen.affine is None else chosen.affine,
-        rho=card.rho if chosen.rho is None else chosen.rho,
-        forgetting=card.forgetting if chosen.forgetting is None else chosen.forgetting,
-        window=chosen.window,
-    )
+    changes = {
+        name: value
+        for name in ("history", "affine", "rho", "forgetting")
+        if (value := getattr(chosen, name)) is not None
+    }
+    if {"history", "affine"} & changes.keys():
+        changes["prior_mean"] = ()  # it is of the card's regressor
+    estimator = replace(entry.card.estimator, **changes)
+    return replace(estimator.settings(entry.card.code_size, p), window=chosen.window)
 
 
 class Equipment:

@@ -102,7 +102,8 @@ def _check_room(trajectory: Trajectory, query: PredictQuery | LqrQuery, limits: 
 def _std(trajectory: Trajectory, model: LinearModel, history: Array, controls: Array) -> Array:
     """(H, n): what the posterior says, corrected as the model's held-out trajectories showed."""
     posterior, card = trajectory.posterior(), trajectory.entry.card
-    std = rollout_std(model, history, controls, posterior.S, posterior.R, trajectory.settings.rho)
+    ignorance = trajectory.settings.ignorance
+    std = rollout_std(model, history, controls, posterior.S, posterior.R, ignorance)
     return finite(calibrated(std, card.estimator.band_scale))
 
 

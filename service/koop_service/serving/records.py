@@ -61,8 +61,11 @@ def computed_elsewhere(record: Mapping[str, Any], codec: ImageCodec) -> str:
 
 @cache
 def _plain(settings: EstimatorSettings) -> dict[str, Any]:
-    """The settings as plain values; thousands of trajectories share a few of them."""
-    return asdict(settings)
+    """The settings as plain values; thousands of trajectories share a few of them.
+
+    The prior's mean is the weights', which the record names.
+    """
+    return {name: value for name, value in asdict(settings).items() if name != "prior_mean"}
 
 
 def restored(

@@ -44,7 +44,7 @@ def rehearse(codec: ImageCodec, settings: EstimatorSettings, batch: int) -> None
     model.spectral_radius()
     history = np.zeros((h, n))
     posterior = Posterior(bank.covariance(lane), bank.factor(lane).R, bank.innovations(lane))
-    rollout_std(model, history, np.zeros((2, p)), posterior.S, posterior.R, settings.rho)
+    rollout_std(model, history, np.zeros((2, p)), posterior.S, posterior.R, settings.ignorance)
     _control(model, posterior, settings, history)
 
 

@@ -11,7 +11,8 @@ from difflib import get_close_matches
 from pathlib import Path
 from typing import Any, TypeVar
 
-from koop_service.serving.config import ServiceConfig
+from koop_service.encoding.catalogue import bundled_or_own
+from koop_service.serving.config import ModelRule, ServiceConfig
 
 T = TypeVar("T")
 
@@ -72,6 +73,8 @@ def _settings(type_: type[T], table: dict[str, Any], where: str, folder: Path) -
         if key not in hints:
             raise ValueError(_unknown(where + key, key, hints))
     given = {key: _value(hints[key], table[key], where + key, folder) for key in table}
+    if type_ is ModelRule and "path" in given:
+        given["path"] = bundled_or_own(Path(table["path"]), folder)
     try:
         return type_(**given)
     except TypeError:

@@ -15,11 +15,11 @@ from .systems import pendulum, random_model
 NOISE = 1e-3
 
 
-def learned(plant, controls, affine=False, seed=0, history=None):
+def learned(plant, controls, affine=False, seed=0, history=None, **prior):
     """Learn `plant` from a noisy run under `controls` (K, p): the arguments of `certify`."""
     rng = np.random.default_rng(seed)
     n, h, p = plant.code_size, plant.history, plant.control_size
-    settings = EstimatorSettings(n, h, p, affine=affine, rho=1e-4)
+    settings = EstimatorSettings(n, h, p, affine=affine, **{"rho": 1e-4, **prior})
     bank = Bank(settings)
     lane, E = bank.open(), []
     codes = list(np.zeros((h, n)) if history is None else history)
@@ -30,7 +30,7 @@ def learned(plant, controls, affine=False, seed=0, history=None):
         E.append(bank.fold(np.array([lane]), w[None], codes[-1][None])[0].copy())
     model = LinearModel.from_theta(bank.theta(lane), settings)
     R = bank.factor(lane).R
-    return model, bank.covariance(lane), R, settings.rho, np.stack(E[-10:])
+    return model, bank.covariance(lane), R, settings.ignorance, np.stack(E[-10:])
 
 
 def excitation(steps, p, seed=1, size=1.0):
@@ -101,6 +101,24 @@ def test_a_control_that_was_never_moved_is_not_known_until_probed(affine):
     assert (np.abs(probing) <= 0.5).all()
     after = np.concatenate([still, probing])
     assert certify(*learned(plant, after, affine, history=start), -1.0, 1.0).fit
+
+
+def test_what_a_control_does_may_be_known_before_it_moves():
+    plant = pendulum(h=2, gravity=-20.0)
+    still, start = np.zeros((60, 1)), np.array([[0.3, 0.0], [0.3, 0.0]])
+    mean = tuple(map(tuple, np.hstack([plant.A, plant.B]).tolist()))
+    ignorant = learned(plant, still, history=start, rho=1.0)
+    assert "hardly moved" in "".join(certify(*ignorant, -1.0, 1.0).reasons)
+    informed = learned(plant, still, history=start, rho=1.0, prior_mean=mean)
+    certificate = certify(*informed, -1.0, 1.0)
+    assert certificate.fit
+    assert certificate.information[0] == np.inf
+    nothing = tuple(map(tuple, np.hstack([plant.A, 0 * plant.B]).tolist()))
+    certificate = certify(
+        *learned(plant, still, history=start, rho=1.0, prior_mean=nothing), -1.0, 1.0
+    )
+    assert not certificate.fit
+    assert "what control 0 does is not known" in certificate.reasons[-1]
 
 
 def test_a_constant_control_is_not_told_from_the_constant():

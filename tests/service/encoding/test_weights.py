@@ -147,6 +147,32 @@ def test_a_card_with_impossible_bands(tmp_path, scale):
         load_card(path)
 
 
+MEAN = tuple(tuple(0.1 * (row + column) for column in range(18)) for row in range(8))
+
+
+def test_a_priors_mean_is_for_the_controls_that_it_was_learned_with(tmp_path):
+    path = tmp_path / "mean.safetensors"
+    card = dataclasses.replace(CARD, estimator=EstimatorDefaults(prior_mean=MEAN))
+    save_weights(path, initialised(8, 0), card)
+    assert load_card(path) == card
+    assert card.estimator.settings(8, 1).prior_mean == MEAN
+    assert card.estimator.settings(8, 0).prior_mean == ()
+    assert card.estimator.settings(8, 2).prior_mean == ()
+
+
+@pytest.mark.parametrize(
+    "mean",
+    [MEAN[:7], [*MEAN[:7], MEAN[7][:17]], [row[:16] for row in MEAN], [["wide"] * 18] * 8, 3, [[]],
+     [[float("nan")] * 18] * 8],
+)  # fmt: skip
+def test_a_card_with_an_impossible_prior(tmp_path, mean):
+    path = tmp_path / "mean.safetensors"
+    card = {**_card_fields(), "estimator": {"prior_mean": mean}}
+    save_file({"x": torch.zeros(1)}, path, _metadata(card))
+    with pytest.raises(ValueError, match="model card that cannot be read"):
+        load_card(path)
+
+
 def test_the_users_models_come_before_the_bundled(saved):
     mine = ModelEntry("mine", saved, ("cartpole/*", "line3/*"))
     catalogue = Catalogue.bundled().preferring([mine])

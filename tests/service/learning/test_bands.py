@@ -81,5 +81,5 @@ def test_moments_know_what_the_services_bank_knows():
 
 def test_training_writes_the_factors_on_the_card(recording):
     codec = ImageCodec(initialised(8, 0), ModelCard("blobs", "test", 0.05))
-    scale = judged(codec, recording).estimator.band_scale
+    scale = judged(codec, recording, ()).estimator.band_scale
     assert len(scale) == len(SCALE_HORIZONS)

@@ -29,6 +29,18 @@ def test_fitted_is_the_proximal_solve_of_each_window():
     assert not list(Dynamics("fitted", SIZES, 1e-2, 2).parameters())
 
 
+def test_a_centred_fit_is_one_to_what_the_learned_mean_leaves():
+    W, Y, theta = measurements()
+    dynamics = Dynamics("fitted", SIZES, 1e-2, 2, around_mean=10.0)
+    assert not torch.allclose(dynamics(W, Y), theta.expand(len(W), -1, -1), atol=1e-2)
+    dynamics.initialise(W, Y)
+    mean = dynamics.matrix.detach().double()
+    torch.testing.assert_close(dynamics(W, Y), theta.expand(len(W), -1, -1), atol=2e-2, rtol=0)
+    more = Y + torch.randn(Y.shape, generator=torch.Generator().manual_seed(0))
+    left = proximal_solve(W, more - W @ mean.mT, 10.0, 2)
+    torch.testing.assert_close(dynamics(W, more), mean + left)
+
+
 def test_learned_a_is_one_matrix_whatever_the_data():
     W, Y, theta = measurements()
     dynamics = Dynamics("learned-A", SIZES, 1e-8, 2)
@@ -55,10 +67,11 @@ def test_learned_b_is_kept_and_the_rest_is_fitted_around_it():
     torch.testing.assert_close(found[:, others], expected, atol=1e-5, rtol=1e-5)
 
 
-@pytest.mark.parametrize("kind", ["learned-A", "learned-B"])
+@pytest.mark.parametrize("kind", ["fitted", "learned-A", "learned-B"])
 def test_the_gradient_reaches_what_is_learned(kind):
     W, Y, _ = measurements()
-    dynamics = Dynamics(kind, SIZES, 1e-3, 2)
+    dynamics = Dynamics(kind, SIZES, 1e-3, 2, around_mean=1.0)
+    assert dynamics.rho == (1.0 if kind == "fitted" else 1e-3)
     dynamics(W, Y).square().sum().backward()
     Y.requires_grad_()
     dynamics(W, Y + 1).sum().backward()

@@ -230,6 +230,11 @@ def test_codes_too_large_to_be_judged(
 def test_the_flow_preset_is_the_papers() -> None:
     preset = PRESETS["flow"]
     assert (preset.dynamics.batch, preset.dynamics.rate, preset.architecture) == (16, 1e-3, FLOW)
-    for roll in (preset.free, preset.actuated):
-        assert roll.fit_frames == (16, 16)
-        assert {16 + roll.after(horizon) for horizon in range(1, 17)} == {32}
+    assert preset.free.fit_frames == (16, 16)
+    assert {16 + preset.free.after(horizon) for horizon in range(1, 17)} == {32}
+
+
+def test_the_flow_presets_fit_a_forced_wake_around_what_all_have_in_common() -> None:
+    for roll in (PRESETS["flow"].actuated, PRESETS["flow-gpu"].actuated):
+        assert roll.around_mean > roll.rho
+        assert roll.longest == 140

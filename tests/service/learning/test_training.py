@@ -8,11 +8,13 @@ import numpy as np
 import pytest
 import torch
 
-from koop_service.encoding.weights import load_weights
+from koop_service.encoding.image_codec import ImageCodec
+from koop_service.encoding.weights import ModelCard, load_card, load_weights
 from koop_service.learning import cli, look
 from koop_service.learning.dynamics import load_learned
 from koop_service.learning.hardware import choose
 from koop_service.learning.log import COLUMNS
+from koop_service.learning.pooled import plain_rows, pooled_theta
 from koop_service.learning.train import Setting, advance, begin
 
 from .blobs import moving_blobs, pushes, smoke, write
@@ -130,8 +132,25 @@ def test_training_goes_on_from_weights(written, recording_file, tmp_path):
     cli.run(cli.Arguments(recording_file, out, preset="smoke", start_from=written, steps=0))
     before, after = (load_weights(path)[0].state_dict() for path in (written, out))
     assert all(torch.equal(before[name], after[name]) for name in before)
+    training = load_card(out).training
+    assert training["started_from"] == load_card(written).training
     with pytest.raises(ValueError, match="has codes of size 8, not --code-size 4"):
         cli.run(cli.Arguments(recording_file, out, start_from=written, code_size=4))
+
+
+def test_a_prior_that_is_learned_with_the_network_or_else_afterwards(recording):
+    preset = smoke(2, 2)
+    roll = dataclasses.replace(preset.actuated, around_mean=1.0)
+    preset = dataclasses.replace(preset, actuated=roll)
+    training, _ = trained(recording, preset)
+    codec = ImageCodec(training.model, ModelCard("blobs", "test", 0.05))
+    learned = cli.prior_mean(training, codec, recording)
+    assert learned == plain_rows(training.dynamics.matrix)
+    assert np.shape(learned) == (8, 18)
+    afterwards = pooled_theta(codec, recording)
+    assert learned != afterwards
+    untrained = begin(Setting(recording, preset, 5, HARDWARE), "fitted", training.model)
+    assert cli.prior_mean(untrained, codec, recording) == afterwards
 
 
 def test_codes_of_another_size(free_file, tmp_path):

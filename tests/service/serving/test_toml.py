@@ -9,6 +9,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from koop_service.encoding.catalogue import bundled_folder
 from koop_service.serving.config import (
     ComputeSettings,
     EstimatorChoices,
@@ -50,6 +51,16 @@ configs = st.builds(
         [PlacementSettings(), PlacementSettings(worker="-"), PlacementSettings(shards=("00-0f",))]
     ),
 )
+
+
+def test_a_model_is_a_file_beside_the_settings_or_a_bundled_one(tmp_path: Path) -> None:
+    file, model = tmp_path / "koop.toml", '[[models]]\npatterns = ["line3/*"]\npath = "{}"\n'
+    file.write_text(model.format("mine.safetensors"))
+    assert load_config(file).models[0].path == tmp_path / "mine.safetensors"
+    file.write_text(model.format("pendulum-high"))
+    assert load_config(file).models[0].path == bundled_folder() / "pendulum-high.safetensors"
+    (tmp_path / "pendulum-high").touch()
+    assert load_config(file).models[0].path == tmp_path / "pendulum-high"
 
 
 @given(configs)

@@ -168,9 +168,12 @@ def _method(results: Results) -> str:
         "restart at each frame, so one frame ahead, with the model card's rho and forgetting. In "
         "the fit frames every method shows the reconstruction.",
         "- A frame's code is its whole state (history 1). Where it has more numbers than the fit "
-        "has frames, the proximal fit takes the smallest of all Theta that explain them.",
+        "has frames, the proximal fit takes that of all Theta that explain them which is nearest "
+        "to its prior's mean: zero, as in the paper, or what was learned from training's "
+        "trajectories together, where the model's card has it (below).",
         "- Learned B: the paper's [6], one constant B learned with an autoencoder of its own, "
-        "under the same updates. Learned A: the paper's [17].",
+        "under the same updates; its A is fitted with a prior around zero. Learned A: the "
+        "paper's [17].",
         "- Without a model, from the fit frames: the last one, their mean, and (natural wake) "
         "their last period over and over. From all frames before, as full updates: the one "
         "before, and the one a period before. The period is the number of frames after which the "
@@ -190,10 +193,12 @@ def _models(results: Results) -> str:
     for name, splits in results.items():
         judged = splits[OVERLAPPING]
         card, training = judged.card, judged.card.training
-        settings = f"{card.code_size}, {card.estimator.rho:g}, {card.estimator.forgetting:g}"
+        estimator = card.estimator
+        mean = "learned" if estimator.prior_mean else "zero"
+        settings = f"{card.code_size}, {estimator.rho:g}, {estimator.forgetting:g}, {mean}"
         command = f"`{training.get('command', '?')}`"
         lines.append((name, judged.fingerprint[:12], settings, command))
-    head = ("system", "weights", "n_z, rho, forgetting", "trained by")
+    head = ("system", "weights", "n_z, rho, forgetting, prior's mean", "trained by")
     return f"## Models\n\n{table(head, lines)}"
 
 

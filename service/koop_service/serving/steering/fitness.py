@@ -45,7 +45,7 @@ def judge(
 ) -> Verdict:
     """Certificate of the model and doubts about the aim; history (h, n) is the newest codes."""
     S, R, innovations = posterior.S, posterior.R, posterior.innovations
-    certificate = certify(model, S, R, settings.rho, innovations, *aim.bounds)
+    certificate = certify(model, S, R, settings.ignorance, innovations, *aim.bounds)
     reasons = (*certificate.reasons, _why_early(len(innovations)), aim.doubt)
     warnings = (_why_not_held(model, S, history, aim), aim.doubt)
     fit = not any(reasons)

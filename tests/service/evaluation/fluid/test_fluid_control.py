@@ -59,6 +59,20 @@ def test_the_page_has_every_method() -> None:
     assert [row[:3] for row in report.rows(FOUND)] == [("mpc", 2, 2), ("rest", 2, 0)]
 
 
+def test_a_service_that_drove_no_wake_is_told_too(tmp_path: Path) -> None:
+    saved = {name: np.zeros((2, 0)) for name in ("probes", "rotations")}
+    saved |= {"natural": np.array(0.2), "momenta": np.zeros((0, 8, 16)), "target": np.ones((8, 16))}
+    drive = {"outcome": None, "command": None}
+    found = {"mpc": trials.told_of({"drives": [drive, drive]}, saved)}
+    numbers = report.as_json(found)["mpc"]
+    assert (numbers["calmed"], numbers["frames_to_calm"], numbers["effort"]) == (0, None, 0)
+    assert numbers["swing_after_150"] == numbers["swing_at_end"] == 1
+    page = report.markdown(found, Protocol(wakes=2), 0.42, "koop-eval fluid-control")
+    assert "| ours, receding horizon (eq. 13) | 0 of 2 | never |" in page
+    draw_swings(found).savefig(tmp_path / "swings.png")
+    draw_strip(found["mpc"]).savefig(tmp_path / "strip.png")
+
+
 def test_a_method_nobody_knows_is_refused() -> None:
     with pytest.raises(
         ValueError, match=f"--method magic: unknown; there are {', '.join(METHODS)}"

@@ -65,7 +65,8 @@ def run(arguments: FluidControl) -> None:
     shown = trials.get("mpc", next(iter(trials.values())))
     draw_strip(shown).savefig(out / "figure-16.png")
     draw_swings(trials).savefig(out / "control-swings.png")
-    save_film(shown, out / "control-film.gif")
+    if len(shown.momenta):
+        save_film(shown, out / "control-film.gif")
     page = report.markdown(trials, protocol, BOUND, _command(arguments))
     (out / "control.md").write_text(page, encoding="utf-8")
     print(f"wrote {out / 'control.md'}, control.csv, figures and a film")

@@ -32,7 +32,7 @@ def as_json(trials: Mapping[str, Trials]) -> dict[str, Any]:
             "swing_after_150": float(found.late_swing.max()),
             "swing_at_end": float(found.last_swing.max()),
             "effort": float(found.effort.mean()),
-            "largest_rotation": float(np.nanmax(np.abs(found.rotations))),
+            "largest_rotation": found.largest,
             "p50": found.p50,
             "p99": found.p99,
         }

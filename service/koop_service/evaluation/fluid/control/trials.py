@@ -57,17 +57,28 @@ class Trials:
     @property
     def late_swing(self) -> Array:
         """(N,) largest |v| from the 150th frame on, over the natural swing."""
-        return np.nanmax(np.abs(self.probes[:, PROMPT:]), axis=1, initial=0) / self.natural
+        return self._largest(self.probes[:, PROMPT:])
 
     @property
     def last_swing(self) -> Array:
         """(N,) largest |v| in the last frames, over the natural swing."""
-        return np.nanmax(np.abs(self.probes[:, -LAST:]), axis=1, initial=0) / self.natural
+        return self._largest(self.probes[:, -LAST:])
+
+    def _largest(self, probes: Array) -> Array:
+        """Over the natural swing, which is that of a wake that was never driven."""
+        swings = np.nanmax(np.abs(probes), axis=1, initial=0) / self.natural
+        return np.where(np.isnan(self.probes).all(axis=1), 1.0, swings)
 
     @property
     def effort(self) -> Array:
-        """(N,) root mean square of the rotation over the whole drive [U/D]."""
-        return np.sqrt(np.nanmean(self.rotations**2, axis=1))
+        """(N,) root mean square of the rotation over the drive [U/D]; 0 where there was none."""
+        driven = np.maximum(np.isfinite(self.rotations).sum(axis=1), 1)
+        return np.sqrt(np.nansum(self.rotations**2, axis=1) / driven)
+
+    @property
+    def largest(self) -> float:
+        """The largest rotation of all drives [U/D]."""
+        return float(np.nanmax(np.abs(self.rotations), initial=0))
 
     def swings(self) -> Array:
         """(N, T) largest |v| within a period around each frame, over the natural swing."""
@@ -82,7 +93,7 @@ def run(options: Sequence[str], endpoint: str, protocol: Protocol) -> Trials:
         record = Path(folder) / "drives.npz"
         told = _simulate(options, endpoint, protocol, record)
         with np.load(record) as saved:
-            return _trials(told, {name: saved[name] for name in saved.files})
+            return told_of(told, {name: saved[name] for name in saved.files})
 
 
 def _simulate(
@@ -108,12 +119,15 @@ def _simulate(
     return json.loads(done.stdout.splitlines()[-1])
 
 
-def _trials(told: Mapping[str, Any], saved: Mapping[str, np.ndarray]) -> Trials:
+def told_of(told: Mapping[str, Any], saved: Mapping[str, np.ndarray]) -> Trials:
+    """The trials, of koop-sim-client's answer and its record."""
     outcomes = [drive["outcome"] for drive in told["drives"]]
     commands = [drive["command"] for drive in told["drives"] if drive["command"]]
+    # Where not one was driven, there is no frame at all.
+    none = np.full((len(outcomes), 0 if saved["probes"].size else DRIVE), np.nan)
     return Trials(
-        probes=saved["probes"],
-        rotations=saved["rotations"],
+        probes=np.concatenate([saved["probes"], none], axis=1),
+        rotations=np.concatenate([saved["rotations"], none], axis=1),
         natural=float(saved["natural"]),
         momenta=saved["momenta"],
         target=saved["target"],
