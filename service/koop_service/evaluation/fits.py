@@ -80,7 +80,7 @@ class ConstantControl:
     def thetas(self, codes: Array, controls: Array, lasts: Sequence[int]) -> Iterator[Array]:
         """Theta (N, n, d) after each of the frames `lasts`."""
         s = self.settings
-        hn, unforced = s.history * s.code_size, replace(s, control_size=0)
+        hn, unforced = s.history * s.code_size, replace(s, control_size=0, prior_mean=())
         keep = np.r_[0:hn, hn + s.control_size : s.regressor_size]
         lanes = np.arange(len(codes))
         factors, done = FactorBatch(unforced, len(codes)), 0

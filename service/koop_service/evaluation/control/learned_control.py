@@ -54,7 +54,7 @@ class LearnedInput:
     def __init__(self, B: Array, settings: EstimatorSettings) -> None:
         self.stream = Stream(settings)
         self._B, self._settings = B, settings
-        self._unforced = replace(settings, control_size=0)
+        self._unforced = replace(settings, control_size=0, prior_mean=())
         self._bank = Bank(self._unforced, capacity=1)
         self._lane = self._bank.open()
         hn = settings.history * settings.code_size

@@ -9,6 +9,7 @@ import subprocess
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 
 import zenoh
@@ -43,7 +44,10 @@ def koop_serve(plant: Plant, weights: Path) -> Iterator[str]:
 
 @contextmanager
 def learned_b(plant: Plant, weights: Path) -> Iterator[str]:
-    """The baseline of [6] for the plant, with our model's estimator settings; its endpoint."""
+    """The baseline of [6] for the plant, with our model's estimator settings; its endpoint.
+
+    Where ours is centred on a learned mean, rho is the baseline's own: it has no such mean.
+    """
     endpoint = free_endpoint()
     config = zenoh.Config()
     for key, value in (
@@ -53,9 +57,11 @@ def learned_b(plant: Plant, weights: Path) -> Iterator[str]:
         ("scouting/gossip/enabled", False),
     ):
         config.insert_json5(key, json.dumps(value))
-    card = load_card(weights_path(weights, plant.system))
-    settings = card.estimator.settings(card.code_size, control_size=1)
     path = baseline_path(weights, plant.system)
+    card, estimator = load_card(path), load_card(weights_path(weights, plant.system)).estimator
+    if estimator.prior_mean:
+        estimator = replace(card.estimator, forgetting=estimator.forgetting)
+    settings = estimator.settings(card.code_size, control_size=1)
     with zenoh.open(config) as session, serving(session, path, settings):
         yield endpoint
 
