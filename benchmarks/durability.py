@@ -286,11 +286,16 @@ def full_speed(options: argparse.Namespace, folder: Path, weights: Path, durable
         service(folder / "state", *models(weights), "--snapshot-every", every) as served,
         Source(served.endpoint, log, count, np.inf),
     ):
-        while served.metric("koop_frames_total") < 2 * count:
-            time.sleep(0.1)
+        await_begun(served, count)
         start, before = time.monotonic(), served.metric("koop_frames_total")
         time.sleep(options.seconds)
         return (served.metric("koop_frames_total") - before) / (time.monotonic() - start)
+
+
+def await_begun(served: Service, count: int) -> None:
+    """Until all trajectories have begun, and nothing of their beginning is left to be read."""
+    while served.metric("koop_frames_total") < 2 * count or served.metric("koop_catching_up"):
+        time.sleep(0.1)
 
 
 def print_progress(kill: int, starting: float, caught_up: float, replayed: float) -> None:

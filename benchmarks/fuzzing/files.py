@@ -161,7 +161,7 @@ def card(data: bytes) -> bool:
     """The fields of a model card, as msgpack, in an otherwise good weights file."""
     fields = _tree(data)
     header, tensors = _parts()
-    metadata = {**header["__metadata__"], "card": json.dumps(fields, default=str)}
+    metadata = {**header["__metadata__"], "card": json.dumps(fields, default=str, skipkeys=True)}
     packed = json.dumps({**header, "__metadata__": metadata}).encode()
     packed += b" " * (-len(packed) % 8)
     return weights(struct.pack("<Q", len(packed)) + packed + tensors)

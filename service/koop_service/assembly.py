@@ -203,12 +203,13 @@ def _started(
     with ExitStack() as stack:
         outbox.start()
         stack.callback(outbox.stop, _LAST_ANSWERS)
-        reader.start()
-        stack.callback(reader.stop, _LAST_ANSWERS)
         pipeline.start()
         stack.callback(pipeline.stop, _LAST_BATCH)
         _guard(config, vitals, metrics, stack)
         stack.enter_context(endpoint.declared(session))
+        # After that: what a source puts once it was asked must find us listening.
+        reader.start()
+        stack.callback(reader.stop, _LAST_ANSWERS)
         yield
     if pipeline.finished:
         snapshotter.finish()

@@ -194,6 +194,7 @@ def _card(path: Path, metadata: Mapping[str, str]) -> ModelCard:
 
 def _estimator(fields: Mapping[str, Any]) -> EstimatorDefaults:
     # JSON has lists; and older cards have neither factors of bands nor a prior's mean.
-    scale, mean = tuple(fields.get("band_scale", ())), fields.get("prior_mean", ())
-    rows = tuple(tuple(map(float, row)) for row in mean)
-    return EstimatorDefaults(**{**fields, "band_scale": scale, "prior_mean": rows})
+    known = {"band_scale": (), "prior_mean": (), **fields}
+    known["band_scale"] = tuple(known["band_scale"])
+    known["prior_mean"] = tuple(tuple(map(float, row)) for row in known["prior_mean"])
+    return EstimatorDefaults(**known)

@@ -23,14 +23,12 @@ from koop_service.encoding.weights import (
     load_weights,
     save_weights,
 )
-from koop_service.estimation.settings import Rows
 
 try:
     from koop_service.learning import hardware
-    from koop_service.learning.bands import band_scale
-    from koop_service.learning.evaluation import encode_all, evaluate, frames_needed, select
+    from koop_service.learning.evaluation import frames_needed
+    from koop_service.learning.judging import judged, prior_mean
     from koop_service.learning.parallel import joined
-    from koop_service.learning.pooled import plain_rows, pooled_theta
     from koop_service.learning.presets import PRESETS, Preset, with_regime
     from koop_service.learning.recording import Recording, load_recording
     from koop_service.learning.session import Files, InterruptedTrainingError, Session, say
@@ -135,14 +133,6 @@ def finish(session: Session, card: ModelCard) -> None:
     files.checkpoint.unlink(missing_ok=True)
     beside = [path.name for path in (files.log, files.strip) if path.exists()]
     print(f"wrote {', '.join([str(files.out), *beside])}: {summary(card, training)}")
-
-
-def prior_mean(training: Training, codec: ImageCodec, seen: Recording) -> Rows:
-    """What was learned with the network, or else afterwards."""
-    learned = training.dynamics.matrix
-    if learned is None or not learned.any():  # no step was taken
-        return pooled_theta(codec, seen)
-    return plain_rows(learned)
 
 
 def summary(card: ModelCard, training: Training) -> str:
@@ -280,18 +270,6 @@ def _start(path: Path, recording: Recording) -> Autoencoder:
             f"{recording.image_shape}; train afresh, without --start-from"
         )
     return model
-
-
-def judged(codec: ImageCodec, unseen: Recording, mean: Rows) -> ModelCard:
-    """The codec's card with the best estimator settings, calibrated, and figures, on `unseen`.
-
-    The prior's mean is zero or `mean`.
-    """
-    trajectories = encode_all(codec, unseen)
-    chosen = select(trajectories, codec.card.estimator, mean)
-    chosen = dataclasses.replace(chosen, band_scale=band_scale(trajectories, chosen))
-    figures = dataclasses.asdict(evaluate(codec, trajectories, chosen))
-    return dataclasses.replace(codec.card, estimator=chosen, figures=figures)
 
 
 def model_card(recording: Recording, preset: Preset, arguments: Arguments) -> ModelCard:

@@ -73,7 +73,7 @@ def _settings(type_: type[T], table: dict[str, Any], where: str, folder: Path) -
         if key not in hints:
             raise ValueError(_unknown(where + key, key, hints))
     given = {key: _value(hints[key], table[key], where + key, folder) for key in table}
-    if type_ is ModelRule and "path" in given:
+    if typing.cast(object, type_) is ModelRule and "path" in given:
         given["path"] = bundled_or_own(Path(table["path"]), folder)
     try:
         return type_(**given)

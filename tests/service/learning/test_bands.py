@@ -10,7 +10,7 @@ from koop_service.encoding.image_codec import ImageCodec
 from koop_service.encoding.weights import EstimatorDefaults, ModelCard
 from koop_service.estimation.estimator import Bank
 from koop_service.learning.bands import LEVEL, band_scale, coverage, half_width, ratios
-from koop_service.learning.cli import judged
+from koop_service.learning.judging import judged
 from koop_service.learning.streaming import Encoded, moments
 from koop_service.prediction.uncertainty import SCALE_HORIZONS
 

@@ -13,6 +13,7 @@ from koop_service.encoding.weights import ModelCard, load_card, load_weights
 from koop_service.learning import cli, look
 from koop_service.learning.dynamics import load_learned
 from koop_service.learning.hardware import choose
+from koop_service.learning.judging import prior_mean
 from koop_service.learning.log import COLUMNS
 from koop_service.learning.pooled import plain_rows, pooled_theta
 from koop_service.learning.train import Setting, advance, begin
@@ -144,13 +145,13 @@ def test_a_prior_that_is_learned_with_the_network_or_else_afterwards(recording):
     preset = dataclasses.replace(preset, actuated=roll)
     training, _ = trained(recording, preset)
     codec = ImageCodec(training.model, ModelCard("blobs", "test", 0.05))
-    learned = cli.prior_mean(training, codec, recording)
+    learned = prior_mean(training, codec, recording)
     assert learned == plain_rows(training.dynamics.matrix)
     assert np.shape(learned) == (8, 18)
     afterwards = pooled_theta(codec, recording)
     assert learned != afterwards
     untrained = begin(Setting(recording, preset, 5, HARDWARE), "fitted", training.model)
-    assert cli.prior_mean(untrained, codec, recording) == afterwards
+    assert prior_mean(untrained, codec, recording) == afterwards
 
 
 def test_codes_of_another_size(free_file, tmp_path):

@@ -15,8 +15,19 @@ from enum import StrEnum
 from koop_protocol import Control, Frame, ReplayQuery, ReplayReply
 from koop_service.serving.trajectories import Trajectory
 
-BATCH_BYTES = 1 << 18
-"""Of all messages in one answer: enough for 64 of 4 KB, as many as fit into one."""
+ANSWERS = 16 << 20
+"""Of all answers that logs are asked for at once [bytes]."""
+_LEAST, _MOST = 1 << 15, 1 << 18
+"""Of one answer: 8 and 64 messages of 4 KB, as many as fit into one [bytes]."""
+
+
+def room_of(behind: int) -> int:
+    """Bytes to ask each log for where so many trajectories are behind.
+
+    An answer comes behind all that its source's link holds. So many are asked at once, for a little
+    each; few, for much.
+    """
+    return min(max(ANSWERS // max(1, behind), _LEAST), _MOST)
 
 
 class Verdict(StrEnum):
@@ -87,14 +98,14 @@ class CatchUp:
         before = Place(message.epoch, lacked)
         return Verdict.fold if self._log_lacks(before) else self._hold(before)
 
-    def question(self, trajectory: Trajectory | None, largest: int) -> ReplayQuery:
-        """What to ask the log now; `largest`: of a single message [bytes]."""
+    def question(self, trajectory: Trajectory | None, room: int, largest: int) -> ReplayQuery:
+        """What to ask the log now; for `room` bytes of messages, each of at most `largest`."""
         if self.position is not None:
-            return ReplayQuery(None, 0, self.position, BATCH_BYTES, largest)
+            return ReplayQuery(None, 0, self.position, room, largest)
         if trajectory is None or trajectory.stream.epoch is None:
-            return ReplayQuery(None, 0, None, BATCH_BYTES, largest)
+            return ReplayQuery(None, 0, None, room, largest)
         stream = trajectory.stream
-        return ReplayQuery(stream.epoch, stream.replay_from, None, BATCH_BYTES, largest)
+        return ReplayQuery(stream.epoch, stream.replay_from, None, room, largest)
 
     def advance(self, reply: ReplayReply) -> None:
         """All messages of the reply were given to the fold."""

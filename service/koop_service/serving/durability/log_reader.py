@@ -13,12 +13,11 @@ import zenoh
 from koop_protocol import ProtocolError, encode, replay_key
 from koop_protocol.codec import decode
 from koop_protocol.status import ErrorReply
+from koop_service.serving.durability.catchup import ANSWERS
 from koop_service.serving.durability.news import LogAnswer, LogQuestion
 
 log = logging.getLogger("koop.replays")
 
-_AT_ONCE = 32
-"""Questions under way at once; their answers lie in memory until they are folded."""
 _PATIENCE = 60.0
 """Longest wait for an answer [s]. It comes over the link of a source that may be held back, behind
 all that waits there; where there is no source any more, Zenoh says so at once."""
@@ -34,7 +33,7 @@ class LogReader:
         self._deliver = deliver
         self._max_bytes = max_bytes
         self._questions: deque[LogQuestion] = deque()
-        self._under_way = 0
+        self._under_way = 0  # bytes
         self._work = threading.Condition()
         self._stopping = False
         self._thread = threading.Thread(target=self._run, name="koop-replays", daemon=True)
@@ -76,19 +75,20 @@ class LogReader:
     def _next(self) -> LogQuestion | None:
         with self._work:
             self._work.wait_for(
-                lambda: self._stopping or (self._questions and self._under_way < _AT_ONCE)
+                lambda: self._stopping or (self._questions and self._under_way < ANSWERS)
             )
             if self._stopping:
                 return None
-            self._under_way += 1
-            return self._questions.popleft()
+            question = self._questions.popleft()
+            self._under_way += question.query.max_bytes
+            return question
 
     def _done(self, reply: _Reply) -> None:
         with self._work:
             if reply.is_done:
                 return
             reply.is_done = True
-            self._under_way -= 1
+            self._under_way -= reply.question.query.max_bytes
             self._work.notify()
         self._deliver(LogAnswer(reply.question, reply.payload, reply.problem, reply.is_late))
 

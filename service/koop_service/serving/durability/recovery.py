@@ -22,7 +22,7 @@ from koop_protocol import (
     decode_as,
     replay_key,
 )
-from koop_service.serving.durability.catchup import CatchUp, Verdict
+from koop_service.serving.durability.catchup import CatchUp, Verdict, room_of
 from koop_service.serving.durability.holding import Holding
 from koop_service.serving.durability.news import LogAnswer, LogNews, LogPresence, LogQuestion
 from koop_service.serving.intake import Arrival
@@ -49,7 +49,7 @@ class _Source:
     here: its token is there. mute: its log does not answer, and is done without. asked: the number
     of the question under way, until its answer is folded. again: when to ask next [s].
     behind_since: when it fell behind [s]. failing_since: when the first question failed since the
-    last answer [s]. held_at: when the newest live message was held [s].
+    last answer [s]. held_at: when the newest live message was held [s]. largest: of those [bytes].
     """
 
     name: str
@@ -62,6 +62,7 @@ class _Source:
     behind_since: float = 0.0
     failing_since: float | None = None
     held_at: float = 0.0
+    largest: int = 0
     dropped: int = 0
 
 
@@ -200,8 +201,9 @@ class Recovery:
         except ProtocolError as error:  # no room in memory, or its state cannot be read
             self._fail(source, str(error))
             return
+        room = max(source.largest, room_of(len(self._behind)))
         # What is too large for us was refused when it came, and would be again.
-        query = source.catch_up.question(trajectory, self._limits.max_message_bytes)
+        query = source.catch_up.question(trajectory, room, self._limits.max_message_bytes)
         source.asked = next(self._numbers)
         self._metrics.replays.inc()
         self._ask(LogQuestion(source.asked, source.name, query))
@@ -338,6 +340,7 @@ class Recovery:
     def _hold(self, source: _Source, arrival: Arrival) -> None:
         self._metrics.deferred.inc(self._holding.add(source.name, arrival))
         source.held_at = self._clock()
+        source.largest = max(source.largest, len(arrival.data))
         self._fall_behind(source)
 
     def _fall_behind(self, source: _Source) -> None:

@@ -5,11 +5,13 @@ from __future__ import annotations
 import logging
 from pathlib import Path
 
+import numpy as np
 import pytest
-from integration.loopback import write_model
+from integration.loopback import RENDERER, write_model
 from integration.undisturbed import arrival_of
 
 from koop_protocol import (
+    Frame,
     Limits,
     ProtocolError,
     ReplayQuery,
@@ -45,6 +47,22 @@ def test_a_token_is_enough_to_ask_for_what_the_fold_needs(desk: Desk) -> None:
     assert (desk.next_seq, desk.recovery.behind) == (3, 0)
     desk.appear()
     assert desk.asked[-1].query == ReplayQuery(EPOCH, 2, None, 1 << 18, 4 << 20)
+
+
+def test_where_many_are_behind_each_log_is_asked_for_little(model: Path) -> None:
+    """So that the answers to many at once, each behind all that a link holds, fit into memory."""
+    desk = Desk(model, most=1000)
+    desk.turn(*(LogPresence(f"cart/{number}", True) for number in range(1000)))
+    assert [question.query.max_bytes for question in desk.asked] == [1 << 15] * 1000
+
+
+def test_an_answer_has_room_for_the_largest_message_that_waits(model: Path) -> None:
+    desk = Desk(model, most=1000)
+    desk.turn(*(LogPresence(f"other/{number}", True) for number in range(999)))
+    image = np.zeros((256, 256), np.uint8)
+    desk.put([Frame(NAME, EPOCH, 0, 0, image, RENDERER, True)])
+    assert desk.asked[-1].trajectory == NAME
+    assert 1 << 16 < desk.asked[-1].query.max_bytes < 1 << 17
 
 
 def test_live_frames_wait_until_the_log_is_read_and_then_follow(desk: Desk) -> None:

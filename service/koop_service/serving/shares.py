@@ -1,0 +1,119 @@
+"""What waits of one share of the queue, and the pace that shares keep while others are active.
+
+Whoever waits for a frame in work waits for all of it, and one alone takes several times as long as
+one more in a batch. So it matters less how many frames a busy share gets than that they are not in
+work just when somebody else's comes: they go with others' frames.
+"""
+
+from __future__ import annotations
+
+from collections import OrderedDict, deque
+from collections.abc import Collection
+from dataclasses import dataclass, field
+
+from koop_service.serving.arrivals import STRANGERS, Arrival
+
+_PACE = 0.01
+"""While others are active, a share gets one frame in this time [s]. ..."""
+_CONTROL = 0.001
+"""... A control, which is never encoded, takes so much of that [s], and goes with its frame."""
+_SAVED = 0.04
+"""Where more than one frame waits, the share keeps its pace with frames that go with others', which
+costs these little; or, where none come, with all that it may have once so much is saved [s]."""
+TOGETHER = 20
+"""All strangers together go so many times faster: a thousand trajectories may begin on one link,
+which waits as a whole."""
+_ACTIVE = 1.0
+"""How long after its last measurement a share still counts as active [s]."""
+
+
+@dataclass(slots=True)
+class Share:
+    """What waits of one share: `queue` in order of arrival, with what was taken out of turn.
+
+    messages, frames, size [bytes]: of what was not taken.
+    """
+
+    queue: deque[Arrival] = field(default_factory=deque)
+    messages: int = 0
+    frames: int = 0
+    size: int = 0
+
+    def add(self, arrival: Arrival) -> None:
+        """At the end."""
+        self.queue.append(arrival)
+        self._count(arrival, 1)
+
+    def discount(self, arrival: Arrival) -> None:
+        """It takes no room any more; its place in the queue may stay."""
+        self._count(arrival, -1)
+
+    def give_up(self, arrivals: Collection[Arrival]) -> None:
+        """These go elsewhere."""
+        for arrival in arrivals:
+            self.discount(arrival)
+        gone = set(map(id, arrivals))
+        self.queue = deque(arrival for arrival in self.queue if id(arrival) not in gone)
+
+    def oldest(self) -> Arrival | None:
+        """The oldest that was not taken; those before it are let go."""
+        while self.queue and self.queue[0].taken:
+            self.queue.popleft()
+        return self.queue[0] if self.queue else None
+
+    def _count(self, arrival: Arrival, sign: int) -> None:
+        self.messages += sign
+        self.frames += sign * arrival.is_frame
+        self.size += sign * len(arrival.data)
+
+
+@dataclass(slots=True)
+class _Activity:
+    """When a share last got something, and until when it has used up its pace [s]."""
+
+    at: float = 0.0
+    paid: float = 0.0
+
+
+class Paces:
+    """Who is active, and when each may have its next measurement. Times [s] are by one clock."""
+
+    def __init__(self) -> None:
+        self._active: OrderedDict[str, _Activity] = OrderedDict()  # least active first
+        self._kept = True
+
+    def note(self, name: str, at: float) -> None:
+        """The share got something."""
+        self._active.setdefault(name, _Activity()).at = at
+        self._active.move_to_end(name)
+
+    def end(self) -> None:
+        """From now on nobody keeps a pace."""
+        self._kept = False
+
+    def are_kept(self, now: float) -> bool:
+        """Whether more than one share is active, so that each keeps its pace."""
+        while self._active and next(iter(self._active.values())).at < now - _ACTIVE:
+            self._active.popitem(last=False)
+        return self._kept and len(self._active) > 1
+
+    def turn_of(self, name: str, share: Share, *, rides: bool = False) -> float:
+        """When the share may have its next measurement; `rides`: with another's."""
+        activity, following = self._active.get(name), share.oldest()
+        if activity is None or following is None:
+            return 0.0
+        if name == STRANGERS:
+            return max(activity.paid, following.at)
+        if not following.is_frame:
+            return activity.paid - _PACE
+        return activity.paid + (_SAVED if share.frames > 1 and not rides else 0.0)
+
+    def pay(self, arrival: Arrival, now: float) -> None:
+        """The share has had this one."""
+        activity = self._active.get(arrival.share)
+        if activity is None:
+            return
+        cost, since = _PACE if arrival.is_frame else _CONTROL, now - _SAVED
+        if arrival.share == STRANGERS:
+            cost, since = cost / TOGETHER, now  # who saves could flood all at once
+        activity.paid = max(activity.paid, since) + cost
