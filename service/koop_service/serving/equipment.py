@@ -14,14 +14,15 @@ from koop_service.serving.config import EstimatorChoices
 
 def settings_for(entry: ModelEntry, chosen: EstimatorChoices, p: int) -> EstimatorSettings:
     """What the user chose, else what the model's card recommends, for p controls."""
+    card = entry.card.estimator
     changes = {
         name: value
         for name in ("history", "affine", "rho", "forgetting")
-        if (value := getattr(chosen, name)) is not None
+        if (value := getattr(chosen, name)) not in (None, getattr(card, name))
     }
     if {"history", "affine"} & changes.keys():
         changes["prior_mean"] = ()  # it is of the card's regressor
-    estimator = replace(entry.card.estimator, **changes)
+    estimator = replace(card, **changes)
     return replace(estimator.settings(entry.card.code_size, p), window=chosen.window)
 
 

@@ -31,6 +31,12 @@ def test_the_users_choices_come_first(entry: ModelEntry) -> None:
     assert settings.prior_mean == MEAN
 
 
+def test_to_choose_what_the_card_says_changes_nothing(entry: ModelEntry) -> None:
+    """A record tells settings apart without the prior's mean, which must follow from the others."""
+    choices = EstimatorChoices(history=2, affine=True, rho=0.3, forgetting=0.98)
+    assert settings_for(entry, choices, 1) == settings_for(entry, EstimatorChoices(), 1)
+
+
 @pytest.mark.parametrize(
     ("choices", "controls"),
     [
