@@ -84,10 +84,11 @@ class Arguments:
     reynolds: Annotated[float | None, _unset("FLOAT", f"{REYNOLDS:g}")] = None
     """Reynolds number of the flow past the cylinder."""
     rotation: Annotated[
-        Literal["schedule", "feedback", "mix"] | None, _unset("REGIME", "schedule")
+        Literal["chirp", "schedule", "feedback", "mix"] | None, _unset("REGIME", "schedule")
     ] = None
-    """How an actuated cylinder turns: by a random schedule of chirps and holds, by the controller
-    that calms the wake (with some of that schedule on top), or by both in turn."""
+    """How an actuated cylinder turns: by the paper's one long chirp, by a random schedule of chirps
+    and holds, by the controller that calms the wake (with some of that schedule on top), or by
+    schedule and controller in turn."""
     steady: bool = False
     """The cylinder's steady flow instead, which control aims at."""
     seed: int = 0

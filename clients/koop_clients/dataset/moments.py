@@ -17,7 +17,15 @@ from koop_clients.flow.settings import FlowSettings
 from koop_clients.flow.spinup import Progress, developed, steady
 
 # The paper's lengths (A.3) [frames]; one frame of the steady flow is as good as many.
-FRAMES = {"rest": 4328, "schedule": 5000, "feedback": 5000, "mix": 5000, "steady": 1}
+_FORCED = 5000
+FRAMES = {
+    "rest": 4328,
+    "chirp": _FORCED,
+    "schedule": _FORCED,
+    "feedback": _FORCED,
+    "mix": _FORCED,
+    "steady": 1,
+}
 
 
 @dataclass(frozen=True)

@@ -14,10 +14,10 @@ from typing import Literal
 
 import numpy as np
 
-from koop_clients.flow.settings import MAX_ROTATION
+from koop_clients.flow.settings import MAX_ROTATION, MORTON_SPEED, FlowSettings
 
 Law = Callable[[int, float], float]
-Regime = Literal["rest", "schedule", "feedback", "mix"]
+Regime = Literal["rest", "chirp", "schedule", "feedback", "mix"]
 
 # Of one trajectory, such as (seed of the run, number of the trajectory).
 Seed = tuple[int, ...]
@@ -36,16 +36,31 @@ _STIR = 0.15  # share of a schedule that acts on top of the controller
 def law(regime: Regime, seed: Seed) -> Law:
     """How a regime turns the cylinder.
 
-    rest does not. schedule alternates chirps, random holds and pauses. feedback lets the reference
+    rest does not. chirp is the one long sweep of Morton et al., the paper's forcing, which knows no
+    seed. schedule alternates chirps, random holds and pauses. feedback lets the reference
     controller calm the wake under a weak schedule; what a learned controller will meet. mix takes
     schedule and feedback in turn.
     """
     if regime == "rest":
         return lambda _number, _probe: 0.0
+    if regime == "chirp":
+        return lambda number, _probe: sweep(number * FlowSettings().frame_time)
     scheduled, stirred = schedule(seed), feedback(stir=seed)
     if regime == "mix":
         return lambda n, probe: (stirred if n // _EPISODE % 2 else scheduled)(n, probe)
     return scheduled if regime == "schedule" else stirred
+
+
+def sweep(time: float) -> float:
+    """Rotation [U/D] at a time [D/U] of the chirp that Morton et al. trained on.
+
+    0.3 sin(2 pi t^2 / 500,000) in their units, and none in the last tenth of every 1,000; 5,000
+    frames sweep from nothing to about twice the frequency that the wake sheds at.
+    """
+    theirs = time / MORTON_SPEED
+    if theirs % 1000 > 900:
+        return 0.0
+    return MAX_ROTATION * math.sin(2 * math.pi * theirs**2 / 500_000)
 
 
 def schedule(seed: Seed) -> Law:

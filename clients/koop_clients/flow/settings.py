@@ -19,6 +19,9 @@ WINDOW = (-2.0, 10.0, -3.0, 3.0)
 PROBE = 2.14
 """Where, on the axis behind the cylinder, the transverse velocity is told [D]."""
 
+MORTON_SPEED = 0.23664
+"""The free stream's speed in the units of Morton et al., whose cylinder has diameter 1."""
+
 MAX_ROTATION = 1.27
 """Largest rotation in use [U/D]; 0.3 in Morton's units."""
 

@@ -9,8 +9,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal, cast
 
+import numpy as np
 import torch
 import tyro
+from torch import Tensor
 
 from koop_service.encoding.autoencoder import Autoencoder
 from koop_service.encoding.image_codec import ImageCodec
@@ -26,13 +28,14 @@ from koop_service.encoding.weights import (
 
 try:
     from koop_service.learning import hardware
+    from koop_service.learning.dynamics import load_learned
     from koop_service.learning.evaluation import frames_needed
     from koop_service.learning.judging import judged, prior_mean
     from koop_service.learning.parallel import joined
     from koop_service.learning.presets import PRESETS, Preset, with_regime
     from koop_service.learning.recording import Recording, load_recording
     from koop_service.learning.session import Files, InterruptedTrainingError, Session, say
-    from koop_service.learning.train import Setting, Training, begin
+    from koop_service.learning.train import Setting, Training, Warm, begin
 except ModuleNotFoundError as error:
     sys.exit(f"koop-train needs {error.name}: pip install 'koop[train]'")
 
@@ -55,7 +58,8 @@ class Arguments:
     seed: int = 0
     """Seed; the same seed, machine and thread count give the same weights."""
     start_from: Path | None = None
-    """Weights to go on from; the autoencoder is trained alone only if --warm-up says so."""
+    """Weights to go on from, with what their dynamics learned; the autoencoder is trained alone
+    only if --warm-up says so, and what was learned for its codes is then learned anew."""
     code_size: int | None = None
     """Numbers in a code (n_z), 8 in the presets."""
     warm_up: int | None = None
@@ -95,8 +99,9 @@ def run(arguments: Arguments) -> None:
         torch.set_num_threads(arguments.threads)
     _check_writable(arguments.out)
     recording = load_recording(arguments.recording)
-    warm = _start(arguments.start_from, recording) if arguments.start_from else None
-    preset = chosen_preset(arguments, warm)
+    start = arguments.start_from
+    warm = _start(start, recording, arguments.dynamics) if start else None
+    preset = chosen_preset(arguments, warm.model if warm else None)
     _check_shape(arguments, recording, preset)
     seen, unseen = preset.split(recording)
     if arguments.judged_on:
@@ -257,7 +262,7 @@ def _alike(path: Path, recording: Recording) -> Recording:
     return other
 
 
-def _start(path: Path, recording: Recording) -> Autoencoder:
+def _start(path: Path, recording: Recording, dynamics: str) -> Warm:
     model, card = load_weights(path)
     if card.renderer != recording.renderer:
         raise ValueError(
@@ -269,7 +274,14 @@ def _start(path: Path, recording: Recording) -> Autoencoder:
             f"{path} was trained on frames {card.image_shape}, the recording holds frames "
             f"{recording.image_shape}; train afresh, without --start-from"
         )
-    return model
+    return Warm(model, _learned(path, card) if card.dynamics == dynamics else None)
+
+
+def _learned(path: Path, card: ModelCard) -> Tensor | None:
+    """What the weights' dynamics learned for all trajectories, if anything."""
+    learned = load_learned(path)
+    rows = learned.matrix if learned else np.array(card.estimator.prior_mean)
+    return torch.from_numpy(rows) if rows.size else None
 
 
 def model_card(recording: Recording, preset: Preset, arguments: Arguments) -> ModelCard:

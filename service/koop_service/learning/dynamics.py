@@ -67,6 +67,17 @@ class Dynamics(nn.Module):
         columns = {FITTED: mean, "learned-A": sizes.regressor, "learned-B": sizes.control}[kind]
         self.matrix = nn.Parameter(torch.zeros(sizes.code, columns)) if columns else None
 
+    @property
+    def is_blank(self) -> bool:
+        """Whether there is something to learn that no step and no start has touched."""
+        return self.matrix is not None and not self.matrix.any()
+
+    @torch.no_grad()
+    def go_on_from(self, matrix: Tensor | None) -> None:
+        """Start what is learned at what was learned before, where that is of the same kind."""
+        if matrix is not None and self.matrix is not None and matrix.shape == self.matrix.shape:
+            self.matrix.copy_(matrix)
+
     def initialise(self, W: Tensor, Y: Tensor) -> None:
         """Start what is learned at the least squares of all trajectories of a batch together."""
         if self.matrix is None:

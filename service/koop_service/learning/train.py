@@ -77,13 +77,21 @@ class _Task:
     loss: Callable[[int, np.random.Generator], Loss]
 
 
-def begin(setting: Setting, dynamics: str, warm: Autoencoder | None = None) -> Training:
+@dataclass(frozen=True, eq=False)
+class Warm:
+    """Weights to go on from, with what their dynamics learned, if anything: (n, d) or (n, p)."""
+
+    model: Autoencoder
+    matrix: Tensor | None = None
+
+
+def begin(setting: Setting, dynamics: str, warm: Warm | None = None) -> Training:
     """A training that has done nothing yet; it starts at the second stage from `warm` weights.
 
     A fresh autoencoder's output is matched to the channels' means and spreads.
     """
     preset, recording = setting.preset, setting.recording
-    model = warm if warm is not None else _fresh(setting)
+    model = _fresh(setting) if warm is None else warm.model
     model.to(setting.hardware.device, memory_format=torch.channels_last)  # pyright: ignore[reportCallIssue]
     controls = recording.controls.shape[2]
     sizes = Sizes(model.code_size, preset.history, controls)
@@ -91,6 +99,8 @@ def begin(setting: Setting, dynamics: str, warm: Autoencoder | None = None) -> T
     fit = Dynamics(dynamics, sizes, roll.rho, preset.refinements, roll.around_mean)
     setting.group.agree(list(model.state_dict().values()))
     done = warm is not None and not preset.autoencoder.steps
+    if warm is not None and done:
+        fit.go_on_from(warm.matrix)
     return Training(model, fit.to(setting.hardware.device), stage=int(done))
 
 
@@ -205,15 +215,15 @@ def _announce(windows: Windows, setting: Setting) -> None:
 def _start_dynamics(
     training: Training, setting: Setting, windows: Windows, objective: DynamicsLoss
 ) -> None:
-    """Start what the dynamics learn at the least squares of one batch."""
-    if training.dynamics.matrix is None:
+    """Start what the dynamics learn at the least squares of one batch, unless it was learned."""
+    if not training.dynamics.is_blank:
         return
     windows.go_to(0)
     rng = np.random.default_rng([setting.seed, len(STAGES)])
     batch = windows.draw(8 * setting.preset.dynamics.batch, objective.roll.fit_frames[1], rng)
     codes = objective.encode(batch)
     training.dynamics.initialise(*regressors(codes, batch.controls, setting.preset.history))
-    setting.group.agree([training.dynamics.matrix])
+    setting.group.agree(list(training.dynamics.parameters()))
 
 
 def _optimiser(training: Training, parameters: list[nn.Parameter]) -> torch.optim.Adam:

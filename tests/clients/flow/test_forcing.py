@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from koop_clients.flow.forcing import feedback, law, schedule
-from koop_clients.flow.settings import MAX_ROTATION
+from koop_clients.flow.settings import MAX_ROTATION, FlowSettings
 
 
 def series(seed: int, frames: int) -> np.ndarray:
@@ -28,7 +28,7 @@ def test_a_schedule_depends_on_seed_and_number_alone() -> None:
 
 @given(st.integers(0, 10**9), st.integers(0, 10**6), st.floats(-5, 5))
 def test_no_law_turns_faster_than_allowed(seed: int, number: int, probe: float) -> None:
-    for regime in ("rest", "schedule", "feedback", "mix"):
+    for regime in ("rest", "chirp", "schedule", "feedback", "mix"):
         assert abs(law(regime, (seed, 0))(number, probe)) <= MAX_ROTATION
 
 
@@ -39,6 +39,20 @@ def test_a_schedule_is_rich() -> None:
     power = np.abs(np.fft.rfft(turned)) ** 2
     bands = [band.mean() for band in np.array_split(power[: len(power) // 2], 5)]  # to 0.25/frame
     assert min(bands) > 0.05 * max(bands)
+
+
+def test_the_chirp_is_that_of_morton_et_al() -> None:
+    turn = law("chirp", (7, 0))
+    frame = FlowSettings().frame_time / 0.23664  # in their units of time
+    turned = np.array([turn(number, 0.3) for number in range(5000)])
+    assert 0.99 * MAX_ROTATION < np.abs(turned).max() <= MAX_ROTATION
+    paused = np.arange(5000) * frame % 1000 > 900
+    assert not turned[paused].any()
+    assert np.mean(turned[~paused] == 0) < 0.01
+    for number in (1000, 4000):  # cycles a frame, which grow with time
+        piece = turned[number - 32 : number + 32] - turned[number - 32 : number + 32].mean()
+        padded = np.abs(np.fft.rfft(piece * np.hanning(64), 4096))
+        assert padded.argmax() / 4096 == pytest.approx(2 * number * frame**2 / 500_000, rel=0.05)
 
 
 def test_the_reference_controller_is_proportional_and_bounded() -> None:

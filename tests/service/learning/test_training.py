@@ -8,15 +8,23 @@ import numpy as np
 import pytest
 import torch
 
+from koop_service.encoding.autoencoder import initialised
 from koop_service.encoding.image_codec import ImageCodec
-from koop_service.encoding.weights import ModelCard, load_card, load_weights
+from koop_service.encoding.weights import (
+    EstimatorDefaults,
+    ModelCard,
+    load_card,
+    load_weights,
+    save_weights,
+)
 from koop_service.learning import cli, look
 from koop_service.learning.dynamics import load_learned
 from koop_service.learning.hardware import choose
 from koop_service.learning.judging import prior_mean
 from koop_service.learning.log import COLUMNS
 from koop_service.learning.pooled import plain_rows, pooled_theta
-from koop_service.learning.train import Setting, advance, begin
+from koop_service.learning.recording import load_recording
+from koop_service.learning.train import Setting, Warm, advance, begin
 
 from .blobs import moving_blobs, pushes, smoke, write
 
@@ -150,8 +158,38 @@ def test_a_prior_that_is_learned_with_the_network_or_else_afterwards(recording):
     assert np.shape(learned) == (8, 18)
     afterwards = pooled_theta(codec, recording)
     assert learned != afterwards
-    untrained = begin(Setting(recording, preset, 5, HARDWARE), "fitted", training.model)
+    untrained = begin(Setting(recording, preset, 5, HARDWARE), "fitted", Warm(training.model))
     assert prior_mean(untrained, codec, recording) == afterwards
+
+
+def test_what_the_dynamics_learned_is_gone_on_from(recording_file, tmp_path):
+    first, more, other = (tmp_path / f"{name}.safetensors" for name in ("first", "more", "other"))
+    arguments = cli.Arguments(
+        recording_file, first, preset="smoke", warm_up=1, steps=2, dynamics="learned-A"
+    )
+    cli.run(arguments)
+    arguments = dataclasses.replace(arguments, warm_up=None, start_from=first, steps=0)
+    cli.run(dataclasses.replace(arguments, out=more))
+    learned = load_learned(first).matrix
+    assert np.array_equal(load_learned(more).matrix, learned)
+    cli.run(dataclasses.replace(arguments, out=other, steps=1))
+    moved = np.abs(load_learned(other).matrix - learned)
+    assert 0 < moved.max() <= 1.1e-3  # one step of Adam
+    # Of codes that are trained on alone, or of other dynamics, nothing is known.
+    setting = Setting(load_recording(recording_file), smoke(1, 1), 0, HARDWARE)
+    warm = Warm(load_weights(first)[0], torch.from_numpy(learned))
+    assert begin(setting, "learned-A", warm).dynamics.is_blank
+    assert begin(setting, "learned-B", warm).dynamics.is_blank
+
+
+def test_a_learned_prior_is_gone_on_from(recording, tmp_path):
+    mean = tuple(tuple(0.01 * (row - column) for column in range(18)) for row in range(8))
+    card = ModelCard("blobs", "test", 0.05, estimator=EstimatorDefaults(prior_mean=mean))
+    path = tmp_path / "centred.safetensors"
+    save_weights(path, initialised(8, 0), card)
+    warm = cli._start(path, recording, "fitted")
+    assert np.array_equal(warm.matrix, mean)
+    assert cli._start(path, recording, "learned-A").matrix is None
 
 
 def test_codes_of_another_size(free_file, tmp_path):
