@@ -84,11 +84,12 @@ class Arguments:
     reynolds: Annotated[float | None, _unset("FLOAT", f"{REYNOLDS:g}")] = None
     """Reynolds number of the flow past the cylinder."""
     rotation: Annotated[
-        Literal["chirp", "schedule", "feedback", "mix"] | None, _unset("REGIME", "schedule")
-    ] = None
+        tuple[Literal["chirp", "schedule", "feedback", "mix"], ...],
+        tyro.conf.arg(metavar="REGIME ...", help_behavior_hint="(default: schedule)"),
+    ] = ()
     """How an actuated cylinder turns: by the paper's one long chirp, by a random schedule of chirps
     and holds, by the controller that calms the wake (with some of that schedule on top), or by
-    schedule and controller in turn."""
+    schedule and controller in turn (mix). Of several, the trajectories take one each in turn."""
     steady: bool = False
     """The cylinder's steady flow instead, which control aims at."""
     seed: int = 0
@@ -157,15 +158,16 @@ def _write_flow(arguments: Arguments) -> None:
 
 
 def _flow_recipe(arguments: Arguments) -> FlowRecipe:
-    if arguments.rotation is not None and not arguments.actuated:
-        raise ValueError(f"--rotation {arguments.rotation} needs a motor: add --actuated")
+    if arguments.rotation and not arguments.actuated:
+        raise ValueError(f"--rotation {arguments.rotation[0]} needs a motor: add --actuated")
     if arguments.steady and arguments.actuated:
         raise ValueError("--steady is the flow past a cylinder at rest; leave --actuated out")
-    moving = (arguments.rotation or "schedule") if arguments.actuated else "rest"
+    still = "steady" if arguments.steady else "rest"
+    turning = arguments.rotation or ("schedule",)
     return FlowRecipe(
         FlowSettings(reynolds=REYNOLDS if arguments.reynolds is None else arguments.reynolds),
-        "steady" if arguments.steady else moving,
-        arguments.trajectories or 1,
+        turning if arguments.actuated else (still,),
+        arguments.trajectories or len(arguments.rotation) or 1,
         arguments.frames,
         arguments.seed,
     )

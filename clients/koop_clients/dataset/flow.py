@@ -43,7 +43,7 @@ def write_flow(
             if recipe.is_actuated and k + 1 < recipe.length:
                 controls[i, k] = moment.rotation
             wrote()
-        describe(file, _header(recipe), [_entry(recipe)] * recipe.trajectories)
+        describe(file, _header(recipe), [_entry(recipe, i) for i in range(recipe.trajectories)])
         file.attrs[names.CHANNELS_ATTRIBUTE] = list(CHANNELS)
         file.attrs[names.CHANNEL_MEAN_ATTRIBUTE] = MEAN
         file.attrs[names.CHANNEL_SCALE_ATTRIBUTE] = SCALE
@@ -74,6 +74,6 @@ def _header(recipe: FlowRecipe) -> Header:
     )  # fmt: skip
 
 
-def _entry(recipe: FlowRecipe) -> dict[str, Any]:
+def _entry(recipe: FlowRecipe, index: int) -> dict[str, Any]:
     settings = recipe.settings
-    return {"regime": recipe.regime, "frame_time": settings.frame_time, **settings.as_dict()}
+    return {"regime": recipe.regime(index), "frame_time": settings.frame_time, **settings.as_dict()}

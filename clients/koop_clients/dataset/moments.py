@@ -34,14 +34,15 @@ class FlowRecipe:
 
     Attributes:
         settings: of the flow.
-        regime: how the cylinder turns, or `steady`: the steady flow, all frames alike.
+        regimes: how the cylinder turns, the trajectories in turn; or `steady` alone: the steady
+            flow, all frames alike.
         trajectories: how many, each from a phase and with a schedule of its own.
         frames: of each; 0 takes the paper's length.
         seed: of phases and schedules.
     """
 
     settings: FlowSettings
-    regime: Regime | Literal["steady"] = "rest"
+    regimes: tuple[Regime | Literal["steady"], ...] = ("rest",)
     trajectories: int = 1
     frames: int = 0
     seed: int = 0
@@ -49,12 +50,21 @@ class FlowRecipe:
     @property
     def length(self) -> int:
         """Frames of each trajectory."""
-        return self.frames or FRAMES[self.regime]
+        return self.frames or FRAMES[self.regimes[0]]
 
     @property
     def is_actuated(self) -> bool:
         """Whether the cylinder may turn."""
-        return self.regime not in ("rest", "steady")
+        return self.regimes[0] not in ("rest", "steady")
+
+    @property
+    def is_steady(self) -> bool:
+        """Whether it is the steady flow."""
+        return self.regimes[0] == "steady"
+
+    def regime(self, index: int) -> Regime | Literal["steady"]:
+        """How the cylinder of trajectory `index` turns."""
+        return self.regimes[index % len(self.regimes)]
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,7 +88,7 @@ def moments(
     `spun_up` hears how the flow develops, if it must. Raises DivergedError.
     """
     flow = CylinderFlow(recipe.settings)
-    if min(workers, recipe.trajectories) == 1 or recipe.regime == "steady":
+    if min(workers, recipe.trajectories) == 1 or recipe.is_steady:
         yield from _numbered(flow, recipe, range(recipe.trajectories), spun_up)
         return
     developed(flow, spun_up)  # once, before all workers ask for it
@@ -142,12 +152,13 @@ def _numbered(
 def _moments(
     flow: CylinderFlow, recipe: FlowRecipe, index: int, spun_up: Progress | None
 ) -> Iterator[Moment]:
-    if recipe.regime == "steady":
+    regime = recipe.regime(index)
+    if regime == "steady":
         state = steady(flow, spun_up)
         yield from [Moment(flow.picture(state), flow.probe(state), 0.0)] * recipe.length
         return
     seed = (recipe.seed, index)
-    plant = FlowPlant(flow, law(recipe.regime, seed), starting(flow, seed, spun_up))
+    plant = FlowPlant(flow, law(regime, seed), starting(flow, seed, spun_up))
     for _ in range(recipe.length):
         picture, probe = plant.draw(), plant.probe
         yield Moment(picture, probe, plant.advance())

@@ -1,5 +1,8 @@
 """What is evaluated: the wake at rest and under a turning cylinder, at several Reynolds numbers.
 
+A cylinder turns as training's do, by random schedules and the reference controller, and by the one
+long chirp of Morton et al. ([6]), which is the paper's forcing.
+
 A test set is one long trajectory, cut into sequences that begin `stride` frames apart and overlap,
 as the paper's do. Its seed is none of training's. At another Reynolds number than training's only
 sequences that share no frame are taken.
@@ -26,13 +29,18 @@ SEQUENCES = 120
 
 @dataclass(frozen=True)
 class Wake:
-    """One model's flow; `plant` are the options that make koop-dataset simulate it."""
+    """One model's flow; `plant` are the options that make koop-dataset simulate it.
+
+    `held_out` says whether it is judged at Reynolds numbers that training has not seen, too.
+    """
 
     name: str
     title: str
+    model: str
     plant: tuple[str, ...]
     stride: int
     baseline: Baseline
+    held_out: bool = True
 
     @property
     def actuated(self) -> bool:
@@ -40,18 +48,30 @@ class Wake:
         return "--actuated" in self.plant
 
 
+_TURNING = ("--system", "cylinder", "--actuated", "--rotation")
+
 # Strides are no multiples of the shedding period (8.9 frames), so that all phases are met. The
-# natural wake shows nothing new after a few periods; a schedule does.
+# natural wake shows nothing new after a few periods; a schedule does, and the chirp to its end.
 WAKES = {
     wake.name: wake
     for wake in (
-        Wake("cylinder", "natural wake", ("--system", "cylinder"), 7, "learned-A"),
+        Wake("cylinder", "natural wake", "cylinder", ("--system", "cylinder"), 7, "learned-A"),
         Wake(
             "cylinder-actuated",
-            "turning cylinder",
-            ("--system", "cylinder", "--actuated", "--rotation", "mix"),
+            "turning at random",
+            "cylinder-actuated",
+            (*_TURNING, "mix"),
             24,
             "learned-B",
+        ),
+        Wake(
+            "cylinder-chirp",
+            "turning by the chirp of [6]",
+            "cylinder-actuated",
+            (*_TURNING, "chirp"),
+            41,
+            "learned-B",
+            held_out=False,
         ),
     )
 }
@@ -78,15 +98,17 @@ class Case:
         reynolds = ("--reynolds", f"{self.reynolds:g}") if self.held_out else ()
         wake = self.wake
         plant = (*wake.plant, *reynolds)
-        return System(wake.name, wake.title, plant, FIT_FRAMES, self.frames, baseline=wake.baseline)
+        return System(
+            wake.model, wake.title, plant, FIT_FRAMES, self.frames, baseline=wake.baseline
+        )
 
 
 def cases(wake: Wake, sequences: int, held_out: Sequence[float]) -> Iterator[Case]:
-    """The trained Reynolds number, then the others, each on a trajectory of the same length."""
+    """The trained Reynolds number, then the others, if any, on trajectories of the same length."""
     starts = tuple(wake.stride * i for i in range(sequences))
     frames = starts[-1] + FIT_FRAMES + AHEAD
     yield Case(wake, TRAINED, frames, starts)
-    for reynolds in held_out:
+    for reynolds in held_out if wake.held_out else ():
         yield Case(wake, reynolds, frames, starts[:: apart(wake)])
 
 

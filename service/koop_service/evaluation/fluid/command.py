@@ -33,6 +33,7 @@ from koop_service.evaluation.fluid.table import (
     Results,
     Splits,
     as_json,
+    by_reynolds,
     write_csv,
 )
 from koop_service.evaluation.options import TestSetOptions
@@ -49,7 +50,7 @@ class Fluid(TestSetOptions):
     """
 
     system: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = ()
-    """cylinder or cylinder-actuated; "all", or none, is both."""
+    """cylinder, cylinder-actuated or cylinder-chirp; "all", or none, is every one."""
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = field(
         default=Path("out/fluid"), kw_only=True
     )
@@ -94,9 +95,10 @@ def _load(arguments: Fluid, wake: Wake, notes: list[str]) -> Trained | None:
         trained, missing = load(arguments.weights, case.system)
     except MissingWeightsError as error:
         trained, missing = None, [f"{wake.name} skipped: {error}"]
-    for note in missing:
+    new = [note for note in missing if note not in notes]  # a model may be judged on several flows
+    for note in new:
         _say(note)
-    notes += missing
+    notes += new
     return trained
 
 
@@ -124,7 +126,10 @@ def _assess(case: Case, trained: Trained, arguments: Fluid) -> Judged:
 
 def _draw(results: Results, out: Path) -> int:
     """Save the figures; how many."""
-    figures = {"figure-14": draw_curves(results), "held-out": draw_held_out(results)}
+    figures = {"figure-14": draw_curves(results)}
+    elsewhere = {name: splits for name, splits in results.items() if len(by_reynolds(splits)) > 1}
+    if elsewhere:
+        figures["held-out"] = draw_held_out(elsewhere)
     for name, splits in results.items():
         figures[f"figure-15-{name}"] = draw_strip(splits[OVERLAPPING])
     for name, figure in figures.items():

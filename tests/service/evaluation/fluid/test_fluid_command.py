@@ -16,6 +16,7 @@ from .waves import write_model, write_set
 
 COUNT, SEED = 3, 1000
 FIGURES = {"figure-14.png", "held-out.png"}
+MODELS = {wake.model for wake in WAKES.values()}
 
 
 @pytest.fixture(scope="module")
@@ -30,7 +31,7 @@ def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture
 def weights(tmp_path: Path) -> Path:
     folder = tmp_path / "weights"
-    for name in WAKES:
+    for name in MODELS:
         write_model(folder / f"{name}.safetensors")
     write_model(folder / "baselines/cylinder-actuated-learned-B.safetensors", "learned-B")
     return folder
@@ -57,15 +58,17 @@ def test_end_to_end_with_a_model_missing(
     out = evaluate("--held-out", "60", "--json")
     said = capsys.readouterr()
     table = json.loads(said.out.splitlines()[-1])
-    assert list(table) == ["cylinder-actuated"]
-    splits = table["cylinder-actuated"]
+    assert list(table) == ["cylinder-actuated", "cylinder-chirp"]
+    splits, chirp = table["cylinder-actuated"], table["cylinder-chirp"]
     assert list(splits) == ["overlapping", "apart", "reynolds-60"]
-    for methods in splits.values():
+    assert list(chirp) == ["overlapping", "apart"]
+    for methods in (*splits.values(), *chirp.values()):
         assert "learned-B-full" in methods
         for errors in methods.values():
             assert list(errors) == ["0.15", "1.5", "7.5", "15", "mean", "visible"]
             assert all(0 <= x < 10 for x in errors.values())
-    files = FIGURES | {"figure-15-cylinder-actuated.png", "report.md", "table.csv"}
+    strips = {f"figure-15-{name}.png" for name in table}
+    files = FIGURES | strips | {"report.md", "table.csv"}
     assert {path.name for path in out.iterdir()} == files
     page = (out / "report.md").read_text()
     assert "`koop-eval fluid --trajectories 3 --seed 1000 --held-out 60`" in page
@@ -84,14 +87,16 @@ def test_one_wake_at_one_reynolds_number(evaluate, capsys: pytest.CaptureFixture
     assert list(table) == ["cylinder"]
     assert list(table["cylinder"]) == ["overlapping", "apart"]
     assert not (out / "figure-15-cylinder-actuated.png").exists()
+    assert not (out / "held-out.png").exists()
     page = (out / "report.md").read_text()
     assert "--system cylinder --trajectories 3 --seed 1000 --held-out`" in page
+    assert "held-out.png" not in page
     assert "cylinder goes without learned-A" in said.err
     assert "cylinder goes without learned-A" in page
 
 
 def test_nothing_to_evaluate(evaluate, weights: Path) -> None:
-    for name in WAKES:
+    for name in MODELS:
         (weights / f"{name}.safetensors").unlink()
     with pytest.raises(SystemExit, match=r"nothing to evaluate: .* holds no model of the flow"):
         evaluate()

@@ -26,7 +26,7 @@ def test_a_panel_a_wake_with_its_lines() -> None:
     left, right = (axes for axes in figure.axes if axes.lines)
     assert (left.get_title("left"), right.get_title("left")) == (
         "natural wake, 20 sequences",
-        "turning cylinder, 20 sequences",
+        "turning at random, 20 sequences",
     )
     drawn = [{to_hex(line.get_color()) for line in axes.lines} for axes in (left, right)]
     assert {LOOKS[m].colour for m in ("offline", "once", "full", "repeat-period")} <= drawn[0]
@@ -50,7 +50,7 @@ def test_held_out_reynolds_numbers_side_by_side() -> None:
     titles = [axes.get_title("left") for axes in figure.axes]
     assert titles == [
         f"{wake}, Re {re}"
-        for wake in ("natural wake", "turning cylinder")
+        for wake in ("natural wake", "turning at random")
         for re in ("50: as trained", "60: not trained on")
     ]
     low, high = figure.axes[0].get_ylim()
