@@ -122,25 +122,32 @@ def settle(served: Service, which: int) -> None:
 
 
 def compare(kinds: list[int], latencies: list[tuple[int, float]]) -> dict[str, float]:
-    """Percentiles of all quiet and all flooded stretches, and what each flood costs the p99.
+    """The median stretch's percentiles, quiet and flooded, and what each flood costs the p99.
 
-    A flood is compared with the quiet stretches just before its own.
+    A flooded stretch is compared with the quiet one just before it; `cost` is the median of these
+    ratios less one, `cost_low` and `cost_high` the quartiles. So a machine that stands still for a
+    moment, in whichever stretch, does not decide.
     """
     by_stretch: dict[int, list[float]] = defaultdict(list)
     for number, latency in latencies:
-        by_stretch[number].append(latency)
+        by_stretch[number].append(1e3 * latency)
     figures: dict[str, float] = {}
     for name, which in FLOODS.items():
-        numbers = [n for n, kind in enumerate(kinds) if kind == which]
-        flooded = [value for n in numbers for value in by_stretch[n]]
-        quiet = [value for n in numbers for value in by_stretch[n - 1]]
-        if flooded and quiet:
-            for state, values in (("quiet", quiet), ("flood", flooded)):
-                for share in (50, 99):
-                    figures[f"{name}_{state}_p{share}_ms"] = 1e3 * np.percentile(values, share)
-            ratio = np.percentile(flooded, 99) / np.percentile(quiet, 99)
-            figures[f"{name}_cost"] = float(ratio) - 1.0
-            figures[f"{name}_answers"] = len(flooded)
+        pairs = [
+            (by_stretch[n - 1], by_stretch[n])
+            for n, kind in enumerate(kinds)
+            if kind == which and by_stretch[n - 1] and by_stretch[n]
+        ]
+        if not pairs:
+            continue
+        for share in (50, 99):
+            each = np.array([[np.percentile(side, share) for side in pair] for pair in pairs])
+            for state, values in zip(("quiet", "flood"), each.T, strict=True):
+                figures[f"{name}_{state}_p{share}_ms"] = float(np.median(values))
+            if share == 99:
+                low, middle, high = np.percentile(each[:, 1] / each[:, 0] - 1.0, (25, 50, 75))
+                figures |= {f"{name}_cost": middle, f"{name}_cost_low": low}
+                figures |= {f"{name}_cost_high": high, f"{name}_stretches": len(pairs)}
     return figures
 
 
@@ -249,13 +256,17 @@ _MAKERS: dict[int, Callable[[], Iterator[tuple[str, bytes]]]] = {
 
 
 def print_table(figures: dict[str, float], options: argparse.Namespace) -> None:
-    print(f"{options.sources} sources at 20 Hz, frame put to a prediction that includes it [ms]")
+    print(
+        f"{options.sources} sources at 20 Hz, frame put to a prediction that includes it [ms], "
+        f"median of stretches of {STRETCH:g} s"
+    )
     print(f"  {'flood of':10}{'quiet p50':>11}{'p99':>8}{'flood p50':>12}{'p99':>8}{'cost':>8}")
     for name in options.floods:
         times = [figures[f"{name}_{s}_p{p}_ms"] for s in ("quiet", "flood") for p in (50, 99)]
         print(
             f"  {name:10}{times[0]:11.1f}{times[1]:8.1f}{times[2]:12.1f}{times[3]:8.1f}"
-            f"{figures[f'{name}_cost']:8.0%}   {figures[f'{name}_per_s']:.0f} a second"
+            f"{figures[f'{name}_cost']:8.0%}  ({figures[f'{name}_cost_low']:.0%} to "
+            f"{figures[f'{name}_cost_high']:.0%})   {figures[f'{name}_per_s']:.0f} a second"
         )
     print(
         f"  the cost is to be 20% at most; resident {figures['resident_mb']:.0f} MB, "

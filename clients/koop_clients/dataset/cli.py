@@ -84,12 +84,13 @@ class Arguments:
     reynolds: Annotated[float | None, _unset("FLOAT", f"{REYNOLDS:g}")] = None
     """Reynolds number of the flow past the cylinder."""
     rotation: Annotated[
-        tuple[Literal["chirp", "schedule", "feedback", "mix"], ...],
+        tuple[Literal["chirp", "sweeps", "schedule", "feedback", "mix"], ...],
         tyro.conf.arg(metavar="REGIME ...", help_behavior_hint="(default: schedule)"),
     ] = ()
-    """How an actuated cylinder turns: by the paper's one long chirp, by a random schedule of chirps
-    and holds, by the controller that calms the wake (with some of that schedule on top), or by
-    schedule and controller in turn (mix). Of several, the trajectories take one each in turn."""
+    """How an actuated cylinder turns: by the paper's one long chirp, by random slow sweeps like it,
+    by a random schedule of faster chirps and holds, by the controller that calms the wake (with
+    some of that schedule on top), or by schedule and controller in turn (mix). Of several, the
+    trajectories take one each in turn."""
     steady: bool = False
     """The cylinder's steady flow instead, which control aims at."""
     seed: int = 0

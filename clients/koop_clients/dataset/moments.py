@@ -21,6 +21,7 @@ _FORCED = 5000
 FRAMES = {
     "rest": 4328,
     "chirp": _FORCED,
+    "sweeps": _FORCED,
     "schedule": _FORCED,
     "feedback": _FORCED,
     "mix": _FORCED,

@@ -17,7 +17,7 @@ import numpy as np
 from koop_clients.flow.settings import MAX_ROTATION, MORTON_SPEED, FlowSettings
 
 Law = Callable[[int, float], float]
-Regime = Literal["rest", "chirp", "schedule", "feedback", "mix"]
+Regime = Literal["rest", "chirp", "sweeps", "schedule", "feedback", "mix"]
 
 # Of one trajectory, such as (seed of the run, number of the trajectory).
 Seed = tuple[int, ...]
@@ -29,6 +29,8 @@ _KINDS, _SHARES = ("chirp", "holds", "rest"), (0.5, 0.4, 0.1)
 _SMALLEST, _LARGEST = 0.1, 2.0  # U/D, of an amplitude before it is cut: one in four is full
 _FASTEST = 0.25  # cycles a frame: twice as fast as the wake sheds
 _LONGEST_HOLD = 16  # frames
+_SWEEP, _PAUSE = 256, 28  # frames of a slow chirp with the pause at its end, and of that
+_SLOWEST = 0.02  # cycles a frame by which its frequency changes, at most; the paper's by 0.012
 _EPISODE = 256  # frames: what the reference controller needs to calm the wake
 _STIR = 0.15  # share of a schedule that acts on top of the controller
 
@@ -37,21 +39,24 @@ def law(regime: Regime, seed: Seed) -> Law:
     """How a regime turns the cylinder.
 
     rest does not. chirp is the one long sweep of Morton et al., the paper's forcing, which knows no
-    seed. schedule alternates chirps, random holds and pauses. feedback lets the reference
-    controller calm the wake under a weak schedule; what a learned controller will meet. mix takes
-    schedule and feedback in turn.
+    seed: it brings the wake into step, so that from about frame 1,500 on every trajectory is the
+    same. sweeps are chirps as slow, of many frequencies and amplitudes. schedule alternates faster
+    chirps, random holds and pauses. feedback lets the reference controller calm the wake under a
+    weak schedule; what a learned controller will meet. mix takes schedule and feedback in turn.
     """
     if regime == "rest":
         return lambda _number, _probe: 0.0
     if regime == "chirp":
-        return lambda number, _probe: sweep(number * FlowSettings().frame_time)
+        return lambda number, _probe: chirp(number * FlowSettings().frame_time)
+    if regime == "sweeps":
+        return lambda number, _probe: _sweep(seed, number // _SWEEP)[number % _SWEEP]
     scheduled, stirred = schedule(seed), feedback(stir=seed)
     if regime == "mix":
         return lambda n, probe: (stirred if n // _EPISODE % 2 else scheduled)(n, probe)
     return scheduled if regime == "schedule" else stirred
 
 
-def sweep(time: float) -> float:
+def chirp(time: float) -> float:
     """Rotation [U/D] at a time [D/U] of the chirp that Morton et al. trained on.
 
     0.3 sin(2 pi t^2 / 500,000) in their units, and none in the last tenth of every 1,000; 5,000
@@ -93,11 +98,27 @@ def _piece(seed: Seed, index: int) -> tuple[float, ...]:
     return tuple((amplitude * shape).tolist())
 
 
+@lru_cache(maxsize=16)
+def _sweep(seed: Seed, index: int) -> tuple[float, ...]:
+    """Half of them at full amplitude."""
+    rng = np.random.default_rng((*seed, index))
+    amplitude = MAX_ROTATION * min(rng.uniform(0.5, 1.5), 1.0)
+    first = rng.uniform(0, _FASTEST)
+    last = first + rng.uniform(-_SLOWEST, _SLOWEST)
+    turned = amplitude * _sine(first, last, _SWEEP - _PAUSE, rng.uniform())
+    return (*turned.tolist(), *[0.0] * _PAUSE)
+
+
 def _chirp(rng: np.random.Generator) -> np.ndarray:
     """(64,) in [-1, 1]: a sine whose frequency runs from one random value to another."""
     first, last = rng.uniform(0, _FASTEST, 2)
-    cycles = np.cumsum(np.linspace(first, last, _PIECE))
-    return np.sin(2 * np.pi * (cycles + rng.uniform()))
+    return _sine(first, last, _PIECE, rng.uniform())
+
+
+def _sine(first: float, last: float, frames: int, phase: float) -> np.ndarray:
+    """(frames,) a sine whose frequency runs from `first` to `last` [cycles a frame]."""
+    cycles = np.cumsum(np.linspace(first, last, frames))
+    return np.sin(2 * np.pi * (cycles + phase))
 
 
 def _holds(rng: np.random.Generator) -> np.ndarray:

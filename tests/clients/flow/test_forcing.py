@@ -28,7 +28,7 @@ def test_a_schedule_depends_on_seed_and_number_alone() -> None:
 
 @given(st.integers(0, 10**9), st.integers(0, 10**6), st.floats(-5, 5))
 def test_no_law_turns_faster_than_allowed(seed: int, number: int, probe: float) -> None:
-    for regime in ("rest", "chirp", "schedule", "feedback", "mix"):
+    for regime in ("rest", "chirp", "sweeps", "schedule", "feedback", "mix"):
         assert abs(law(regime, (seed, 0))(number, probe)) <= MAX_ROTATION
 
 
@@ -53,6 +53,22 @@ def test_the_chirp_is_that_of_morton_et_al() -> None:
         piece = turned[number - 32 : number + 32] - turned[number - 32 : number + 32].mean()
         padded = np.abs(np.fft.rfft(piece * np.hanning(64), 4096))
         assert padded.argmax() / 4096 == pytest.approx(2 * number * frame**2 / 500_000, rel=0.05)
+
+
+def test_sweeps_are_slow_and_of_many_frequencies_and_amplitudes() -> None:
+    turn = law("sweeps", (5, 1))
+    pieces = np.array([turn(number, 0.3) for number in range(5120)]).reshape(20, 256)
+    assert not pieces[:, -28:].any()
+    amplitudes = np.abs(pieces).max(1)
+    assert 4 <= (amplitudes > 0.99 * MAX_ROTATION).sum() <= 16
+    assert amplitudes.min() < 0.8 * MAX_ROTATION
+    halves = [
+        np.abs(np.fft.rfft(part, 2048, axis=1)) for part in (pieces[:, :114], pieces[:, 114:228])
+    ]
+    first, second = (half.argmax(1) / 2048 for half in halves)
+    assert np.abs(first - second).max() < 0.025
+    assert np.histogram(first, 5, (0, 0.26))[0].min() >= 1
+    assert not np.array_equal(pieces[0], [law("sweeps", (5, 0))(k, 0.3) for k in range(256)])
 
 
 def test_the_reference_controller_is_proportional_and_bounded() -> None:

@@ -31,7 +31,8 @@ class Judged:
     """What was found out about one test set; errors: method -> of (N, T) frames.
 
     strip: x-momentum (2, len(SHOWN), H, W) [free streams], truth and offline, of the sequence whose
-    offline error is the median one. period: of the shedding [frames], if it sheds.
+    offline error is the median one. period: of the shedding [frames], if it sheds. turned: (N,) rms
+    of the rotation after the fit [U/D].
     """
 
     case: Case
@@ -42,6 +43,7 @@ class Judged:
     period: float | None
     errors: Mapping[str, Errors]
     strip: np.ndarray
+    turned: Array
 
     @property
     def sequences(self) -> int:
@@ -58,13 +60,18 @@ class Judged:
 
     def after_fit(self, method: str) -> float:
         """Mean L1 of all that comes after the fit."""
-        return float(self.l1(method)[:, FIT_FRAMES:].mean())
+        return float(self.each_after_fit(method).mean())
+
+    def each_after_fit(self, method: str) -> Array:
+        """(N,) mean L1 of all that comes after each sequence's fit."""
+        return self.l1(method)[:, FIT_FRAMES:].mean(1)
 
     def apart(self) -> Judged:
         """Only sequences that share no frame with each other."""
         step = apart(self.case.wake)
         kept = {name: found.on(lambda x: x[::step]) for name, found in self.errors.items()}
-        return replace(self, case=replace(self.case, starts=self.case.starts[::step]), errors=kept)
+        case = replace(self.case, starts=self.case.starts[::step])
+        return replace(self, case=case, errors=kept, turned=self.turned[::step])
 
 
 def assess(case: Case, trained: Trained, sequences: Sequences) -> Judged:
@@ -87,6 +94,7 @@ def assess(case: Case, trained: Trained, sequences: Sequences) -> Judged:
         sequences.period,
         errors,
         _strip(codec, predictions["offline"][shown], sequences.of(shown), sequences.units),
+        _turned(sequences.controls),
     )
 
 
@@ -142,6 +150,12 @@ def _of_guesses(sequences: Sequences, own: Errors, periodic: bool) -> dict[str, 
 
 def _after(sequences: Sequences, i: int, pictures: np.ndarray) -> Errors:
     return compare(pictures, sequences.of(i)[FIT_FRAMES:], sequences.units)
+
+
+def _turned(controls: Array) -> Array:
+    """(N,) of controls (N, T-1, p)."""
+    after = controls[:, FIT_FRAMES - 1 :]
+    return np.sqrt((after**2).sum(2).mean(1))
 
 
 def _fitted(values: Array) -> Array:

@@ -35,7 +35,8 @@ def judged(name: str, reynolds: float = TRAINED, **levels: float) -> Judged:
     card = ModelCard("cylinder", "test", 0.15, training={"command": "koop-train x"})
     strip = np.random.default_rng(0).uniform(0, 1, (2, len(SHOWN), 16, 32))
     found = {method: errors(level) for method, level in known.items()}
-    return Judged(case, card, "0123456789abcdef", UNITS, 0.15, 9.0, found, strip)
+    turned = np.linspace(0.1, 0.3, COUNT) * case.wake.actuated
+    return Judged(case, card, "0123456789abcdef", UNITS, 0.15, 9.0, found, strip, turned)
 
 
 def splits(name: str = "cylinder", **levels: float) -> Splits:

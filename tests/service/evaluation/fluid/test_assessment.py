@@ -69,6 +69,14 @@ def test_the_errors_are_those_of_the_decoded_codes(
     np.testing.assert_allclose(found, last, rtol=1e-4)
 
 
+def test_how_much_the_cylinder_turns_after_the_fit(
+    judged: Judged, turning: tuple[Case, Trained, Sequences]
+) -> None:
+    controls = turning[2].controls[:, FIT_FRAMES - 1 :, 0]
+    np.testing.assert_allclose(judged.turned, np.sqrt((controls**2).mean(1)))
+    assert controls.shape == (COUNT, 100)
+
+
 def test_the_regimes_differ_from_their_first_update_on(judged: Judged) -> None:
     offline, once, full = (judged.l1(regime) for regime in ("offline", "once", "full"))
     np.testing.assert_array_equal(offline[:, :UPDATE_AT], once[:, :UPDATE_AT])

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from koop_service.evaluation.fluid.cases import FIT_FRAMES
 from koop_service.evaluation.fluid.report import Report
 from koop_service.evaluation.fluid.table import as_json, by_reynolds, rows, write_csv
 
@@ -60,6 +61,18 @@ def test_the_page() -> None:
     assert "- cylinder goes without learned-A" in page
     for name in ("figure-14", "figure-15-cylinder", "held-out"):
         assert f"({name}.png)" in page
+
+
+def test_errors_where_the_cylinder_turns_little_and_much() -> None:
+    found = splits("cylinder-actuated")
+    strong = errors(0.05)
+    strong.absolute[14:, FIT_FRAMES:] *= 3
+    results = {"cylinder-actuated": changed(found, "offline", strong)}
+    page = Report(results, "koop-eval fluid").markdown()
+    head = "method, mean L1 by the rotation's rms after the fit [U/D]"
+    assert f"| {head} | 0.10 to 0.16 | 0.17 to 0.24 | 0.25 to 0.30 |" in page
+    assert "| offline | 0.0500 | 0.0500 | 0.1500 |" in page
+    assert head not in Report({"cylinder": splits()}, "koop-eval fluid").markdown()
 
 
 def test_what_does_not_hold_is_in_bold() -> None:
