@@ -20,6 +20,9 @@ _CONTROL = 0.001
 _SAVED = 0.04
 """Where more than one frame waits, the share keeps its pace with frames that go with others', which
 costs these little; or, where none come, with all that it may have once so much is saved [s]."""
+_SPARED = 0.02
+"""Of several that go with others' frames at once, all but the first need so much saved [s]: two
+would make them wait longer than one does."""
 TOGETHER = 20
 """All strangers together go so many times faster: a thousand trajectories may begin on one link,
 which waits as a whole."""
@@ -97,8 +100,8 @@ class Paces:
             self._active.popitem(last=False)
         return self._kept and len(self._active) > 1
 
-    def turn_of(self, name: str, share: Share, *, rides: bool = False) -> float:
-        """When the share may have its next measurement; `rides`: with another's."""
+    def turn_of(self, name: str, share: Share, mine: int = 0, batch: int = 0) -> float:
+        """When the share may have its next measurement, in a batch with `mine` of its own."""
         activity, following = self._active.get(name), share.oldest()
         if activity is None or following is None:
             return 0.0
@@ -106,7 +109,7 @@ class Paces:
             return max(activity.paid, following.at)
         if not following.is_frame:
             return activity.paid - _PACE
-        return activity.paid + (_SAVED if share.frames > 1 and not rides else 0.0)
+        return activity.paid + (_saved(mine, batch) if share.frames > 1 else 0.0)
 
     def pay(self, arrival: Arrival, now: float) -> None:
         """The share has had this one."""
@@ -117,3 +120,10 @@ class Paces:
         if arrival.share == STRANGERS:
             cost, since = cost / TOGETHER, now  # who saves could flood all at once
         activity.paid = max(activity.paid, since) + cost
+
+
+def _saved(mine: int, batch: int) -> float:
+    """What a share must have saved [s] for one more frame, with `mine` in a batch of so many."""
+    if not batch:
+        return _SAVED
+    return _SPARED if 0 < mine < batch else 0.0

@@ -9,7 +9,7 @@ the processor free. Strangers get what time the known ones leave.
 
 from __future__ import annotations
 
-from collections import OrderedDict, deque
+from collections import Counter, OrderedDict, deque
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -145,22 +145,28 @@ class Turns:
             own.add(arrival)
 
     def _take_round(
-        self, count: int, now: float, may: Callable[[str, bool, float], bool]
+        self, count: int, now: float, may: Callable[[str, int, int, float], bool]
     ) -> list[Arrival]:
-        """One of each share that `may`, as long as there are any; it is told whether it rides."""
+        """One of each share that `may`, as long as there are any.
+
+        It is told how many of the batch are the share's own, and how many it has.
+        """
         batch: list[Arrival] = []
+        taken: Counter[str] = Counter()
         before = -1
         while before < len(batch) < count:
             before = len(batch)
             for name in list(self._shares):
-                if len(batch) < count and may(name, bool(batch), now):
-                    batch += self._take_one(name, now)
+                if len(batch) < count and may(name, taken[name], len(batch), now):
+                    found = self._take_one(name, now)
+                    taken[name] += len(found)
+                    batch += found
         return batch
 
-    def _may(self, name: str, rides: bool, now: float) -> bool:
+    def _may(self, name: str, mine: int, batch: int, now: float) -> bool:
         """Whether it is the turn of a share that keeps its pace, and not the strangers'."""
         share = self._shares[name]
-        return name != STRANGERS and self._paces.turn_of(name, share, rides=rides) <= now
+        return name != STRANGERS and self._paces.turn_of(name, share, mine, batch) <= now
 
     def _take_strangers(self, count: int, due: float, now: float) -> list[Arrival]:
         """So many of them, if their turn came at `due` [s] at the latest."""
