@@ -1,9 +1,10 @@
 """What a flood from one source costs the others: latency of their predictions, with and without.
 
 Sources at 20 Hz put a frame and ask for a prediction that includes it. Beside them one more puts as
-fast as it is let: good frames of one trajectory, bad messages on its own key, or bad messages under
-ever new names. Quiet and flooded stretches alternate, so that a machine whose speed drifts favours
-neither side. Four processes: koop-serve, the sources, the flood, and this one.
+fast as it is let: good frames of one trajectory, bad messages on its own key, and bad messages or
+good first frames under ever new names. Quiet and flooded stretches alternate, so that a machine
+whose speed drifts favours neither side. Four processes: koop-serve, the sources, the flood, and
+this one.
 
     python benchmarks/flood.py                       # two minutes
     python benchmarks/flood.py --minutes 20 --json
@@ -36,8 +37,8 @@ from koop_protocol import PredictQuery, encode, frame_key, predict_key, shard_of
 
 INTERVAL = 0.05  # s between two frames of a source
 HORIZON = 20
-QUIET, GOOD, BAD, STRANGE = range(4)
-FLOODS = {"good": GOOD, "bad": BAD, "strange": STRANGE}
+QUIET, GOOD, BAD, STRANGE, NEW = range(5)
+FLOODS = {"good": GOOD, "bad": BAD, "strange": STRANGE, "new": NEW}
 STRETCH = 3.0  # s, after SETTLE
 SETTLE, DRAINED = 0.5, 30.0  # s in which the last stretch may be felt; s at most for its backlog
 WARM_FRAMES = 60
@@ -248,10 +249,20 @@ def strange() -> Iterator[tuple[str, bytes]]:
         yield f"koop/frame/{shard_of(name)}/{name}", mutants[i % len(mutants)]
 
 
+def new() -> Iterator[tuple[str, bytes]]:
+    """Good first frames, each of a trajectory that nobody knows yet."""
+    template = "benchmark/new00000000"
+    message = Templates(template, pictures(1)).message(0)
+    for i in range(10**8):
+        name = f"benchmark/new{i:08d}"
+        yield frame_key(name), message.replace(template.encode(), name.encode())
+
+
 _MAKERS: dict[int, Callable[[], Iterator[tuple[str, bytes]]]] = {
     GOOD: good,
     BAD: bad,
     STRANGE: strange,
+    NEW: new,
 }
 
 

@@ -146,6 +146,11 @@ class Intake(Generic[Q]):
             self._space.notify_all()
             return batch
 
+    def worked(self, batch: list[Arrival], seconds: float) -> None:
+        """Say how long [s] what `take` gave has taken; strangers wait accordingly."""
+        with self._lock:
+            self._turns.worked(batch, seconds, time.monotonic())
+
     def take_of(self, lane: str, before: int, count: int) -> list[Arrival]:
         """The oldest measurements of one trajectory with a ticket below `before`, out of turn."""
         with self._lock:

@@ -92,7 +92,7 @@ class Pipeline:
         self._process(self._urgent())
         self._desk.answer(_BRIEFLY if self._vitals.overloaded else _ANSWERING)
         self._replay()
-        self._process(self._intake.take(self._batch))
+        self._take_turns()
         self._snapshotter.step()
         self._eviction.step()
 
@@ -100,6 +100,11 @@ class Pipeline:
         if arrivals:
             self._commander.command(self._measurements.process(arrivals))
             self._vitals.folded()
+
+    def _take_turns(self) -> None:
+        batch, start = self._intake.take(self._batch), time.monotonic()
+        self._process(batch)
+        self._intake.worked(batch, time.monotonic() - start)
 
     def _replay(self) -> None:
         """Fold what logs have sent, a batch at most, and the live messages that waited for it."""

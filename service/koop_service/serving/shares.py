@@ -23,9 +23,14 @@ costs these little; or, where none come, with all that it may have once so much 
 _SPARED = 0.02
 """Of several that go with others' frames at once, all but the first need so much saved [s]: two
 would make them wait longer than one does."""
-TOGETHER = 20
+_TOGETHER = 20
 """All strangers together go so many times faster: a thousand trajectories may begin on one link,
 which waits as a whole."""
+_OTHERS = 3.0
+"""... And after each work for them the others have the processor for so many times as long."""
+_FEW, _SHORT = 4, 0.002
+"""While others are active, so many strangers are taken at once, or as few as were done in so short
+a time [s], and only where no other is to be taken: who comes meanwhile waits for no more."""
 _ACTIVE = 1.0
 """How long after its last measurement a share still counts as active [s]."""
 
@@ -84,6 +89,12 @@ class Paces:
     def __init__(self) -> None:
         self._active: OrderedDict[str, _Activity] = OrderedDict()  # least active first
         self._kept = True
+        self._stranger = 0.0  # time that the last ones took, each [s]
+
+    @property
+    def few(self) -> int:
+        """Strangers that may be taken at once while others are active."""
+        return _FEW if self._stranger * _FEW <= _SHORT else max(1, int(_SHORT / self._stranger))
 
     def note(self, name: str, at: float) -> None:
         """The share got something."""
@@ -118,8 +129,16 @@ class Paces:
             return
         cost, since = _PACE if arrival.is_frame else _CONTROL, now - _SAVED
         if arrival.share == STRANGERS:
-            cost, since = cost / TOGETHER, now  # who saves could flood all at once
+            cost, since = cost / _TOGETHER, now  # who saves could flood all at once
         activity.paid = max(activity.paid, since) + cost
+
+    def pay_work(self, count: int, seconds: float, now: float) -> None:
+        """So many strangers have had so much of the processor's time [s]: new trajectories cost it
+        far more than messages that are refused."""
+        self._stranger = seconds / count
+        activity = self._active.get(STRANGERS)
+        if activity is not None:
+            activity.paid = max(activity.paid, now + _OTHERS * seconds)
 
 
 def _saved(mine: int, batch: int) -> float:

@@ -10,11 +10,11 @@ the processor free. Strangers get what time the known ones leave.
 from __future__ import annotations
 
 from collections import Counter, OrderedDict, deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 from koop_service.serving.arrivals import STRANGERS, Arrival, lane_of
-from koop_service.serving.shares import TOGETHER, Paces, Share
+from koop_service.serving.shares import Paces, Share
 
 __all__ = ["Arrival", "Turns", "lane_of"]
 
@@ -22,11 +22,9 @@ _NEVER = float("inf")
 _PART = 8
 """A share has at most this part of the room, where that is more than the least."""
 _LEAST_MESSAGES, _LEAST_SIZE = 64, 1 << 20
-_FEW = 4
-"""While others are active, so many measurements of strangers are taken at once, and only where no
-other is to be taken: who comes meanwhile waits for no more than them. ..."""
-_OVERDUE = 0.02
-"""... Where the known ones leave no time for so long [s], strangers go first for once."""
+_OVERDUE, _MORE = 0.02, 5
+"""Where the known ones leave strangers no time for so long [s], these go first for once, so many
+times as many of them."""
 
 
 class Turns:
@@ -97,9 +95,10 @@ class Turns:
         """At most `count`, one of each share after the other's."""
         if not self._paces.are_kept(now):
             return self._take_round(count, now, lambda *_: True)
-        batch = self._take_strangers(min(count, TOGETHER), now - _OVERDUE, now)
+        few = self._paces.few
+        batch = self._take_strangers(min(count, _MORE * few), now - _OVERDUE, now)
         batch += self._take_round(count - len(batch), now, self._may)
-        return batch or self._take_strangers(min(count, _FEW), now, now)
+        return batch or self._take_strangers(min(count, few), now, now)
 
     def take_of(self, lane: str, before: int, count: int, now: float) -> list[Arrival]:
         """The oldest of one lane with a ticket below `before`, out of turn."""
@@ -112,6 +111,12 @@ class Turns:
             # Its place in the share stays until its turn; its bytes do not.
             arrival.taken, arrival.data = True, b""
         return batch
+
+    def worked(self, batch: Sequence[Arrival], seconds: float, now: float) -> None:
+        """What `take` gave has taken so long [s]; strangers pay for their part of that."""
+        strangers = sum(arrival.share == STRANGERS for arrival in batch)
+        if strangers:
+            self._paces.pay_work(strangers, seconds * strangers / len(batch), now)
 
     def oldest(self) -> float:
         """The lowest ticket that waits; infinity where none does."""

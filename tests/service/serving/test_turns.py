@@ -277,6 +277,24 @@ def test_strangers_are_not_kept_out_by_those_who_are_always_there() -> None:
     assert got["a"] >= 280
 
 
+def test_strangers_that_cost_much_get_a_quarter_of_the_time() -> None:
+    bench, work = Bench(), 0.0
+    strangers(bench)
+    for _ in range(1000):
+        bench.put("a")
+        arrivals = bench.turns.take(BATCH, bench.now)
+        mine = sum(lane_of(arrival.key) != "a" for arrival in arrivals)
+        seconds = 0.004 * mine + 0.001
+        bench.now += seconds
+        assert mine <= (1 if work else 4), "nobody is to wait for several that take long"
+        work += seconds * mine / max(1, len(arrivals))
+        bench.turns.worked(arrivals, seconds, bench.now)
+        while bench.put(f"nobody/{next(bench.tickets)}"):
+            continue
+    passed = bench.now - NOW
+    assert 0.2 < work / passed < 0.26
+
+
 def test_many_that_begin_at_once_do_not_stay_strangers() -> None:
     """50 cameras at 20 Hz beside one that is known; a service that keeps up sees no queue."""
     bench = Bench()
