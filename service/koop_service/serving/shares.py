@@ -26,8 +26,9 @@ would make them wait longer than one does."""
 _TOGETHER = 20
 """All strangers together go so many times faster: a thousand trajectories may begin on one link,
 which waits as a whole."""
-_OTHERS = 3.0
-"""... And after each work for them the others have the processor for so many times as long."""
+_OTHERS, _AT_MOST = 3.0, 0.3
+"""... And after each work for them the others have the processor for so many times as long, up to
+so many seconds: a process that was suspended meanwhile keeps nobody out."""
 _FEW, _SHORT = 4, 0.002
 """While others are active, so many strangers are taken at once, or as few as were done in so short
 a time [s], and only where no other is to be taken: who comes meanwhile waits for no more."""
@@ -138,7 +139,7 @@ class Paces:
         self._stranger = seconds / count
         activity = self._active.get(STRANGERS)
         if activity is not None:
-            activity.paid = max(activity.paid, now + _OTHERS * seconds)
+            activity.paid = max(activity.paid, now + min(_OTHERS * seconds, _AT_MOST))
 
 
 def _saved(mine: int, batch: int) -> float:

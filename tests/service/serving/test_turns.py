@@ -295,6 +295,26 @@ def test_strangers_that_cost_much_get_a_quarter_of_the_time() -> None:
     assert 0.2 < work / passed < 0.26
 
 
+def test_a_process_that_stood_still_keeps_no_stranger_out() -> None:
+    bench = Bench()
+    strangers(bench)
+    bench.put("a")
+    assert bench.take() == ["a"]
+    arrivals = bench.turns.take(BATCH, bench.now)
+    bench.now += 60.0
+    bench.put("a")
+    bench.put("nobody/else")
+    bench.turns.worked(arrivals, 60.0, bench.now)
+    assert bench.take() == ["a"]
+    got: list[str] = []
+    for _ in range(4):
+        bench.now += 0.1
+        bench.put("a")
+        got += bench.take()
+    assert got.count("a") == 4
+    assert len(got) > 4
+
+
 def test_many_that_begin_at_once_do_not_stay_strangers() -> None:
     """50 cameras at 20 Hz beside one that is known; a service that keeps up sees no queue."""
     bench = Bench()
