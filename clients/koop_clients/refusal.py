@@ -140,7 +140,8 @@ def _answer_of_hub(error: ssl.SSLError, credentials: Credentials) -> str | None:
         )
     if "CERTIFICATE" in reason or "ACCESS_DENIED" in reason:
         return f"does not take {mine} as the certificate of a client: {reason.lower()}"
-    if "WRONG_VERSION" in reason or "EOF" in reason:
+    # Who closes a link whose first bytes it does not understand may do so in either way.
+    if "WRONG_VERSION" in reason or "EOF" in reason or isinstance(error, ssl.SSLZeroReturnError):
         return "does not speak TLS; connect with tcp/ in place of tls/ if that is what you want"
     return f"breaks the handshake off: {reason.lower() or error}"
 

@@ -6,6 +6,7 @@ import datetime
 import json
 import shutil
 import socket
+import ssl
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
@@ -19,6 +20,7 @@ from koop_clients.connection import NoServiceError, RefusedError, open_session
 from koop_clients.pki.deployment import Deployment
 from koop_clients.pki.party import Party
 from koop_clients.pki.storage import load_identity
+from koop_clients.refusal import Credentials, _answer_of_hub
 
 
 @pytest.fixture
@@ -122,6 +124,18 @@ def test_a_hub_without_tls(leaf: Path, impatient_hub: str) -> None:
         pass
     with pytest.raises(RefusedError, match="is there, but does not speak TLS"):
         open_session(impatient_hub.replace("tcp/", "tls/"), config_file=leaf / "zenoh.json5")
+
+
+@pytest.mark.parametrize(
+    "error",
+    [
+        ssl.SSLEOFError(ssl.SSL_ERROR_EOF, "EOF occurred in violation of protocol"),
+        ssl.SSLZeroReturnError(ssl.SSL_ERROR_ZERO_RETURN, "TLS/SSL connection has been closed"),
+    ],
+)
+def test_a_hub_that_closes_at_the_first_bytes_of_tls(error: ssl.SSLError) -> None:
+    error.reason = "UNEXPECTED_EOF_WHILE_READING" if "violation" in str(error) else None
+    assert "does not speak TLS" in (_answer_of_hub(error, Credentials()) or "")
 
 
 def test_something_that_is_no_hub() -> None:
