@@ -102,9 +102,11 @@ class Pipeline:
             self._vitals.folded()
 
     def _take_turns(self) -> None:
-        batch, start = self._intake.take(self._batch), time.monotonic()
-        self._process(batch)
-        self._intake.worked(batch, time.monotonic() - start)
+        batch = self._intake.take(self._batch)
+        if batch:
+            start = time.monotonic()
+            self._process(batch)
+            self._intake.worked(batch, time.monotonic() - start)
 
     def _replay(self) -> None:
         """Fold what logs have sent, a batch at most, and the live messages that waited for it."""

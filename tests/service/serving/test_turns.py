@@ -128,14 +128,19 @@ def test_a_flood_keeps_a_pace_while_others_are_active() -> None:
     assert got["a"] > 450
 
 
-def test_a_backlog_goes_with_others_frames() -> None:
-    """Then nobody finds a flood's frame in work when his own comes."""
+def flooded() -> Bench:
+    """A source that has put as much as it may, beside another; both had their first turn."""
     bench = Bench()
     bench.put("a")
     while bench.put("flood"):
         continue
     bench.take()
-    got = Counter()
+    return bench
+
+
+def test_a_backlog_goes_with_others_frames() -> None:
+    """Then nobody finds a flood's frame in work when his own comes."""
+    bench, got = flooded(), Counter()
     for _ in range(100):
         bench.now += 0.01
         bench.put("flood")
@@ -149,11 +154,7 @@ def test_a_backlog_goes_with_others_frames() -> None:
 
 
 def test_several_go_at_once_only_where_others_come_seldom() -> None:
-    bench, got = Bench(), Counter()
-    bench.put("a")
-    while bench.put("flood"):
-        continue
-    bench.take()
+    bench, got = flooded(), Counter()
     for _ in range(50):
         bench.now += 0.02
         bench.put("flood")
@@ -167,11 +168,7 @@ def test_several_go_at_once_only_where_others_come_seldom() -> None:
 
 
 def test_a_backlog_waits_for_others_frames_only_until_some_is_saved() -> None:
-    bench, got = Bench(), []
-    bench.put("a")
-    while bench.put("flood"):
-        continue
-    bench.take()
+    bench, got = flooded(), []
     for _ in range(15):
         bench.now = bench.turns.ready_at(bench.now)
         got.append(bench.take())

@@ -105,10 +105,7 @@ def own(judged: Judged, method: str, channel: str) -> Array:
 
 def _rows(wake: str, split: str, judged: Judged, method: str, channel: str) -> Iterator[Row]:
     found, still = (own(judged, name, channel) for name in (method, "repeat-last"))
-    moments = {
-        f"{k * judged.dt:g}": slice(at := FIT_FRAMES - 1 + k, at + 1) for k in reached(judged)
-    }
-    for horizon, moment in (moments | {MEAN: slice(FIT_FRAMES, None)}).items():
+    for horizon, moment in _moments(judged).items():
         each = found[:, moment].mean(1)
         low, middle, high = np.percentile(each, PERCENTILES).tolist()
         l1 = float(each.mean())
