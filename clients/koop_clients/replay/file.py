@@ -3,55 +3,38 @@
 SQLite keeps a write-ahead log beside the file and writes a message with one small append, without
 waiting for the disk. What was appended outlives a kill of this process at any moment. A loss of
 power may cost what the disk had not got yet (see docs/reliability.md), never the file.
+
+The file alone is the truth. The index in memory follows it, once a transaction is through.
 """
 
 from __future__ import annotations
 
-import fcntl
 import logging
 import os
 import sqlite3
 import threading
 import time
-from collections import Counter, deque
-from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from koop_protocol import MAX_BATCH, Durable, ReplayQuery, ReplayReply, check_trajectory
+from koop_clients.replay.database import connect, lock, open_sound, transaction
+from koop_clients.replay.index import CONTROL, FRAME, Mark
+from koop_protocol import Durable, ReplayQuery, ReplayReply, check_trajectory
+
+__all__ = ["CONTROL", "FRAME", "LogFile", "Tail"]
 
 log = logging.getLogger("koop.log")
 
-FRAME, CONTROL = 0, 1
-
-_VERSION = 1
-_SCHEMA = """
-CREATE TABLE trajectories (
-    id INTEGER PRIMARY KEY, name TEXT NOT NULL UNIQUE, dropped INTEGER NOT NULL DEFAULT 0
-);
-CREATE TABLE messages (
-    position INTEGER PRIMARY KEY, trajectory INTEGER NOT NULL,
-    epoch TEXT NOT NULL, seq INTEGER NOT NULL, kind INTEGER NOT NULL, data BLOB NOT NULL
-);
-CREATE INDEX by_trajectory ON messages (trajectory, position);
-"""
 _ROOM = 16
 """What is dropped at once to make room: this part of the whole."""
-_FORGET = """
-DELETE FROM messages WHERE position IN (
-    SELECT position FROM messages WHERE trajectory = ? AND position < (
-        SELECT position FROM messages WHERE trajectory = ? AND epoch = ? AND seq >= ?
-        ORDER BY position LIMIT 1
-    ) ORDER BY position LIMIT ?
-) RETURNING length(data)
-"""
-_CHUNK, _AT_ONCE = 64, 16
-"""Messages of a trajectory, and trajectories, in one transaction that forgets; so that nobody waits
-long for the next append."""
-_LONG = 32 << 20
-"""Size of the write-ahead log from which on it is emptied, with appends waiting meanwhile."""
+_CHUNK, _CHUNK_BYTES = 1024, 4 << 20
+"""Most messages in one transaction that forgets, and about their bytes; so that nobody waits long
+for the next append."""
+_LONG = 8192
+"""Pages in the write-ahead log (32 MiB) from which on it begins anew, with appends waiting."""
 
 
 @dataclass(frozen=True)
@@ -68,8 +51,8 @@ class LogFile:
     """Frames and controls of any number of trajectories, in the order in which they were put.
 
     Raises ValueError where another process has the file, or it is of another version; OSError where
-    it cannot be made. A file that is no SQLite file any more is renamed, with a warning, and a new
-    one takes its place. All methods may be called from any thread.
+    it cannot be made. A file that is no sound SQLite file any more is renamed, with a warning, and
+    a new one takes its place. All methods may be called from any thread.
 
     Attributes:
         path: where it is.
@@ -82,16 +65,16 @@ class LogFile:
         self.path = path
         self.max_bytes = max_bytes
         path.parent.mkdir(parents=True, exist_ok=True)
-        self._held = _lock(path)
+        self._held = lock(path)
         try:
-            self._writer = _sound(path)
-            self._reader = _connect(path)
+            self._writer, self._index = open_sound(path)
+            self._reader = connect(path)
         except BaseException:
             os.close(self._held)
             raise
+        # Whoever takes both takes `reading` first. The index belongs to `writing`.
         self._writing, self._reading = threading.Lock(), threading.Lock()
         self._ids: dict[str, int] = dict(self._writer.execute("SELECT name, id FROM trajectories"))
-        self._bytes: int = self._one("SELECT total(length(data)) FROM messages") or 0
         # Never a number twice, even where all messages were forgotten before this run.
         last = self._one("SELECT max(position) FROM messages") or 0
         self._position: int = max(last, time.time_ns() // 1000)
@@ -104,7 +87,7 @@ class LogFile:
     @property
     def bytes(self) -> int:
         """Size of all messages held."""
-        return int(self._bytes)
+        return self._index.bytes
 
     def append(self, trajectory: str, epoch: str, seq: int, kind: int, data: bytes) -> None:
         """Keep a message; it must follow on the trajectory's former ones.
@@ -112,71 +95,70 @@ class LogFile:
         Raises sqlite3.Error where the disk does not take it.
         """
         with self._writing:
-            if self._bytes + len(data) > self.max_bytes:
+            if self._index.bytes + len(data) > self.max_bytes:
                 self._make_room(len(data))
-            row = (self._position + 1, self._id(trajectory), epoch, seq, kind, data)
-            self._writer.execute("INSERT INTO messages VALUES (?, ?, ?, ?, ?, ?)", row)
+            number = self._id(trajectory)
             self._position += 1
-            self._bytes += len(data)
+            row = (self._position, number, epoch, seq, kind, data)
+            self._writer.execute("INSERT INTO messages VALUES (?, ?, ?, ?, ?, ?)", row)
+            self._index.add(number, self._position, epoch, seq, kind, len(data))
 
     def read(self, trajectory: str, query: ReplayQuery) -> ReplayReply:
         """What the query asks for, as far as one reply holds it."""
-        with self._reading, _transaction(self._reader, "BEGIN"):
-            number = self._ids.get(trajectory, 0)
-            start = self._start(number, query) if query.after is None else query.after
-            messages, position, end = self._batch(number, start, query)
-            return ReplayReply(
-                trajectory,
-                tuple(messages),
-                position,
-                end,
-                *self._edge(number, "ASC"),
-                *self._edge(number, "DESC"),
-                dropped=self._one("SELECT dropped FROM trajectories WHERE id = ?", number) or 0,
-            )
+        number = self._ids.get(trajectory, 0)
+        with self._reading, transaction(self._reader, "BEGIN"):
+            with self._writing:
+                # The first statement decides what the transaction sees: just what the index says.
+                dropped = self._one("SELECT dropped FROM trajectories WHERE id = ?", number) or 0
+                batch = self._index.batch(number, query)
+                first, last = self._index.first(number), self._index.last(number)
+            messages = tuple(map(self._data, batch.positions))
+        return ReplayReply(
+            trajectory, messages, batch.reached, batch.end, *first, *last, dropped=dropped
+        )
 
-    def forget(self, durable: Iterable[Durable]) -> int:
-        """Delete what is of no use any more; how many messages. Another epoch's is left alone."""
-        waiting, count = deque(durable), 0
-        while waiting:
-            group = [waiting.popleft() for _ in range(min(len(waiting), _AT_ONCE))]
-            # One transaction for many trajectories: it is what costs most.
-            with self._writing, _transaction(self._writer, "BEGIN IMMEDIATE"):
-                for entry in group:
-                    deleted = self._forget_some(entry)
-                    count += deleted
-                    if deleted == _CHUNK:
-                        waiting.append(entry)
+    def forget(self, durable: Iterable[Durable], between: Callable[[], None] | None = None) -> int:
+        """Delete what is of no use any more; how many messages. Another epoch's is left alone.
+
+        Where there is much, `between` is called now and then; it may do with the log what it likes.
+        """
+        marks: list[Mark] = []
+        for entry in durable:
+            number = self._ids.get(entry.trajectory, 0)
+            with self._writing:
+                marks += self._index.before(number, entry.epoch, entry.seq)
+        # As they lie in the file, whosever they are: so each page is written once.
+        marks.sort()
+        count = 0
+        for chunk in _chunks(marks):
+            with self._writing:
+                count += self._delete(chunk)
+            if between is not None:
+                between()
         return count
 
     def tail(self, trajectory: str) -> Tail | None:
         """The newest frame, or None where there is none."""
-        number = self._ids.get(trajectory, 0)
-        with self._reading:
-            row = self._reader.execute(
-                "SELECT epoch, seq, data, position FROM messages WHERE trajectory = ? AND kind = ?"
-                " ORDER BY position DESC LIMIT 1",
-                (number, FRAME),
-            ).fetchone()
-            if row is None:
+        with self._reading, self._writing:
+            frame = self._index.newest_frame(self._ids.get(trajectory, 0))
+            if frame is None:
                 return None
-            later = "SELECT 1 FROM messages WHERE trajectory = ? AND position > ?"
-            return Tail(row[0], row[1], row[2], bool(self._one(later, number, row[3])))
+            return Tail(frame.epoch, frame.seq, self._data(frame.position), frame.controlled)
 
     def tidy(self) -> None:
         """Move the write-ahead log into the file: in the background, as often as once a second."""
-        is_long = _size(Path(f"{self.path}-wal")) > _LONG
         with self._reading:
-            # Where it is long once more, so that little is left for when appends have to wait.
-            for _ in range(1 + is_long):
-                self._reader.execute("PRAGMA wal_checkpoint(PASSIVE)").fetchone()
+            is_long = self._checkpoint() > _LONG
+            if is_long:  # once more, so that little is left for when appends have to wait
+                self._checkpoint()
         if is_long:
             with self._writing:
-                self._writer.execute("PRAGMA wal_checkpoint(TRUNCATE)").fetchone()
+                # Not truncated: to write over it costs the kernel less than to let it grow anew.
+                self._writer.execute("PRAGMA wal_checkpoint(RESTART)").fetchone()
 
     def close(self) -> None:
         """Let go of the file."""
-        with self._writing, self._reading:
+        with self._reading, self._writing:
             self._reader.close()
             self._writer.close()
             os.close(self._held)
@@ -191,79 +173,43 @@ class LogFile:
 
     def _make_room(self, size: int) -> None:
         """Drop the oldest messages, whosever they are, and keep count."""
-        wanted = self._bytes + size - self.max_bytes + self.max_bytes // _ROOM
-        dropped: Counter[int] = Counter()
-        freed, last = 0, 0
-        rows = self._writer.execute(
-            "SELECT position, trajectory, length(data) FROM messages ORDER BY position"
-        )
-        for position, trajectory, length in rows:
-            if freed >= wanted:
-                break
-            freed, last = freed + length, position
-            dropped[trajectory] += 1
-        rows.close()
-        with _transaction(self._writer, "BEGIN IMMEDIATE"):
-            self._writer.execute("DELETE FROM messages WHERE position <= ?", (last,))
-            self._writer.executemany(
-                "UPDATE trajectories SET dropped = dropped + ? WHERE id = ?",
-                [(count, trajectory) for trajectory, count in dropped.items()],
-            )
-        self._bytes -= freed
+        wanted = self._index.bytes + size - self.max_bytes + self.max_bytes // _ROOM
+        marks = self._index.oldest(wanted)
+        if not marks:  # a message larger than all of it
+            return
+        self._delete(marks, Counter(trajectory for _, _, trajectory in marks))
         log.warning(
             "the log %s is full: %d messages that the service has not on disk yet are dropped; "
             "give it more than %d bytes, or see why the service does not take them",
             self.path,
-            dropped.total(),
+            len(marks),
             self.max_bytes,
         )
 
-    def _start(self, number: int, query: ReplayQuery) -> int:
-        """The position behind which the wanted messages begin."""
-        if query.epoch is None:
-            return 0
-        of_epoch = "FROM messages WHERE trajectory = ? AND epoch = ?"
-        first = f"SELECT position {of_epoch} AND seq >= ? ORDER BY position LIMIT 1"
-        found = self._one(first, number, query.epoch, query.seq)
-        if found is not None:
-            return found - 1
-        return self._one(f"SELECT max(position) {of_epoch}", number, query.epoch) or 0
+    def _delete(self, marks: list[Mark], dropped: Mapping[int, int] | None = None) -> int:
+        """Of each trajectory its oldest messages, by rising position; how many were there still.
 
-    def _batch(self, number: int, start: int, query: ReplayQuery) -> tuple[list[bytes], int, bool]:
-        """Messages behind `start`, the position reached, and whether that is the end."""
-        messages: list[bytes] = []
-        size, position, largest = 0, start, query.max_message_bytes
-        rows = self._reader.execute(
-            "SELECT position, data FROM messages WHERE trajectory = ? AND position > ?"
-            " ORDER BY position",
-            (number, start),
-        )
-        for at, data in rows:
-            if largest is None or len(data) <= largest:
-                size += len(data)
-                if len(messages) == MAX_BATCH or (messages and size > query.max_bytes):
-                    rows.close()
-                    return messages, position, False
-                messages.append(data)
-            position = at
-        return messages, position, True
+        `dropped`: how many of each trajectory's are to be counted as lost.
+        """
+        counts = [(count, trajectory) for trajectory, count in (dropped or {}).items()]
+        with transaction(self._writer, "BEGIN IMMEDIATE"):
+            self._writer.executemany(
+                "DELETE FROM messages WHERE position BETWEEN ? AND ?", _stretches(marks)
+            )
+            self._writer.executemany(
+                "UPDATE trajectories SET dropped = dropped + ? WHERE id = ?", counts
+            )
+        return self._index.cut({trajectory: position for position, _, trajectory in marks})
 
-    def _edge(self, number: int, order: str) -> tuple[str | None, int | None]:
-        """Epoch and number of the trajectory's oldest (ASC) or newest (DESC) message."""
-        row = self._reader.execute(
-            f"SELECT epoch, seq FROM messages WHERE trajectory = ? ORDER BY position {order}"
-            " LIMIT 1",
-            (number,),
-        ).fetchone()
-        return (None, None) if row is None else row
+    def _checkpoint(self) -> int:
+        """Beside appends; pages in the write-ahead log."""
+        return self._reader.execute("PRAGMA wal_checkpoint(PASSIVE)").fetchone()[1]
 
-    def _forget_some(self, durable: Durable) -> int:
-        """Delete a chunk of what stands before the first message that must stay."""
-        number = self._ids.get(durable.trajectory, 0)
-        rows = self._writer.execute(_FORGET, (number, number, durable.epoch, durable.seq, _CHUNK))
-        sizes = [size for (size,) in rows.fetchall()]
-        self._bytes -= sum(sizes)
-        return len(sizes)
+    def _data(self, position: int) -> bytes:
+        data = self._one("SELECT data FROM messages WHERE position = ?", position)
+        if data is None:
+            raise sqlite3.DatabaseError(f"message {position} of {self.path} is not there any more")
+        return data
 
     def _one(self, statement: str, *values: object) -> Any:
         """The first value that the statement finds, or None."""
@@ -271,74 +217,26 @@ class LogFile:
         return None if row is None else row[0]
 
 
-def _lock(path: Path) -> int:
-    """A file's descriptor; the lock is gone with the process, however that ends."""
-    held = os.open(f"{path}.lock", os.O_RDWR | os.O_CREAT, 0o666)
-    try:
-        fcntl.flock(held, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError as error:
-        os.close(held)
-        raise ValueError(
-            f"another process is using the log {path}; give each its own, or stop that one"
-        ) from error
-    return held
+def _chunks(marks: list[Mark]) -> Iterator[list[Mark]]:
+    """What one transaction deletes, and the next."""
+    chunk: list[Mark] = []
+    size = 0
+    for mark in marks:
+        chunk.append(mark)
+        size += mark[1]
+        if len(chunk) == _CHUNK or size >= _CHUNK_BYTES:
+            yield chunk
+            chunk, size = [], 0
+    if chunk:
+        yield chunk
 
 
-def _sound(path: Path) -> sqlite3.Connection:
-    """A connection to the file, with its tables; what is no database any more is set aside."""
-    try:
-        return _prepared(_connect(path), path)
-    except sqlite3.DatabaseError as error:
-        if isinstance(error, sqlite3.OperationalError):  # not damaged: no room, or no permission
-            raise OSError(f"the log {path} cannot be used: {error}") from error
-        aside = path.with_name(f"{path.name}.{time.time_ns()}.unfit")
-        for part in ("", "-wal", "-shm"):
-            if Path(f"{path}{part}").exists():
-                os.replace(f"{path}{part}", f"{aside}{part}")
-        log.warning("the log %s is damaged (%s); it is kept as %s", path, error, aside.name)
-        return _prepared(_connect(path), path)
-
-
-def _connect(path: Path) -> sqlite3.Connection:
-    connection = sqlite3.connect(path, isolation_level=None, check_same_thread=False)
-    try:
-        connection.execute("PRAGMA journal_mode = WAL")
-        connection.execute("PRAGMA synchronous = NORMAL")
-        # SQLite would move the write-ahead log in the middle of an append, and wait for the disk.
-        connection.execute("PRAGMA wal_autocheckpoint = 0")
-    except sqlite3.Error:
-        connection.close()
-        raise
-    return connection
-
-
-def _prepared(connection: sqlite3.Connection, path: Path) -> sqlite3.Connection:
-    found = connection.execute("PRAGMA user_version").fetchone()[0]
-    if found not in (0, _VERSION):
-        connection.close()
-        raise ValueError(
-            f"the log {path} is of version {found}; this koop knows version {_VERSION}: give "
-            "another file"
-        )
-    if found == 0:
-        with _transaction(connection, "BEGIN IMMEDIATE"):
-            for statement in _SCHEMA.split(";"):
-                connection.execute(statement)
-            connection.execute(f"PRAGMA user_version = {_VERSION}")
-    return connection
-
-
-@contextmanager
-def _transaction(connection: sqlite3.Connection, begin: str) -> Iterator[None]:
-    connection.execute(begin)
-    try:
-        yield
-    except BaseException:
-        if connection.in_transaction:  # a full disk ends it by itself
-            connection.execute("ROLLBACK")
-        raise
-    connection.execute("COMMIT")
-
-
-def _size(path: Path) -> int:
-    return path.stat().st_size if path.exists() else 0
+def _stretches(marks: list[Mark]) -> Iterator[tuple[int, int]]:
+    """First and last of the positions that follow on each other."""
+    first = last = marks[0][0]
+    for position, _, _ in marks:
+        if position > last + 1:
+            yield first, last
+            first = position
+        last = position
+    yield first, last

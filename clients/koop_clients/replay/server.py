@@ -38,8 +38,6 @@ _TIDY = 1.0
 once costs half of what it does one by one, as the service says it."""
 _FAREWELL = 0.5
 """Longest wait at the end for a service that has not come round to a new log yet [s]."""
-_FORGOTTEN = 64
-"""Trajectories whose durable messages are forgotten between two questions."""
 _WAITING = 1024
 """Questions that may wait; the service asks far fewer at once."""
 _ROOMY = Limits().for_replays()
@@ -161,12 +159,15 @@ class LogServer:
                     self._work.notify_all()
 
     def _forget_all(self) -> None:
-        """A few at a time: questions wait for nothing."""
-        while self._durable:
-            self._answer_all()
+        """All at once, which costs least, but for questions: they wait for nothing."""
+        with self._work:
+            durable, self._durable = self._durable, {}
+        try:
+            self._file.forget(durable.values(), between=self._answer_all)
+        except sqlite3.Error:
             with self._work:
-                some = [self._durable.pop(name) for name in list(self._durable)[:_FORGOTTEN]]
-            self._file.forget(some)
+                self._durable = durable | self._durable
+            raise
 
 
 def _refuse(query: zenoh.Query, error: ProtocolError) -> None:

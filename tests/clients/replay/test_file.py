@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import logging
 import os
+import resource
 import signal
 import sqlite3
 import subprocess
 import sys
-from contextlib import closing
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import closing, contextmanager
 from dataclasses import replace
 from pathlib import Path
 
@@ -27,6 +30,17 @@ LARGE = 1 << 30
 def file(tmp_path: Path):
     with closing(LogFile(tmp_path / "log", LARGE)) as opened:
         yield opened
+
+
+@contextmanager
+def full_disk() -> Iterator[None]:
+    """No file of this process takes anything."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (0, hard))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
 
 
 def fill(file: LogFile, name: str, epoch: str, count: int, size: int = 10) -> list[bytes]:
@@ -178,6 +192,9 @@ def test_a_message_larger_than_the_log_is_kept_alone(tmp_path: Path) -> None:
         fill(file, "a", A, 3, 100)
         file.append("a", A, 3, FRAME, bytes(5000))
         assert read_all(file, "a") == [bytes(5000)]
+    with closing(LogFile(tmp_path / "other", 1000)) as file:
+        file.append("a", A, 0, FRAME, bytes(5000))
+        assert read_all(file, "a") == [bytes(5000)]
 
 
 def test_the_tail_is_the_newest_frame(file: LogFile) -> None:
@@ -215,10 +232,133 @@ def test_a_file_that_is_no_log_any_more_is_set_aside(
     assert aside.read_bytes() == b"rubbish" * 1000
 
 
+FORMER = """
+CREATE TABLE trajectories (
+    id INTEGER PRIMARY KEY, name TEXT NOT NULL UNIQUE, dropped INTEGER NOT NULL DEFAULT 0
+);
+CREATE TABLE messages (
+    position INTEGER PRIMARY KEY, trajectory INTEGER NOT NULL,
+    epoch TEXT NOT NULL, seq INTEGER NOT NULL, kind INTEGER NOT NULL, data BLOB NOT NULL
+);
+CREATE INDEX by_trajectory ON messages (trajectory, position);
+INSERT INTO trajectories VALUES (1, 'a', 3), (2, 'b', 0);
+PRAGMA user_version = 1;
+"""
+
+
+def test_a_file_of_the_former_version_goes_on(tmp_path: Path) -> None:
+    messages = [f"{number}".encode() for number in range(200)]
+    with closing(sqlite3.connect(tmp_path / "log")) as connection:
+        connection.executescript(FORMER)
+        rows = [(5 + k, 1 + k % 2, A, k, FRAME, data) for k, data in enumerate(messages)]
+        connection.executemany("INSERT INTO messages VALUES (?, ?, ?, ?, ?, ?)", rows)
+        connection.commit()
+    for _ in range(2):
+        with closing(LogFile(tmp_path / "log", LARGE)) as file:
+            assert (read_all(file, "a"), read_all(file, "b")) == (messages[::2], messages[1::2])
+            assert file.read("a", ReplayQuery()).dropped == 3
+            file.append("a", A, 200 + len(messages), FRAME, b"more")
+            messages += [b"more", b"of b"]
+            file.append("b", A, 200 + len(messages), FRAME, b"of b")
+    with closing(sqlite3.connect(tmp_path / "log")) as connection:
+        assert connection.execute("PRAGMA user_version").fetchone() == (2,)
+        assert not connection.execute(
+            "SELECT * FROM sqlite_master WHERE name GLOB 'by_*'"
+        ).fetchall()
+
+
+def test_a_file_that_is_damaged_within_is_set_aside(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    with closing(LogFile(tmp_path / "log", LARGE)) as file:
+        fill(file, "a", A, 300, 100)
+    with (tmp_path / "log").open("r+b") as raw:
+        raw.seek(6 * 4096)
+        raw.write(b"rubbish!" * 512)
+    with caplog.at_level(logging.WARNING), closing(LogFile(tmp_path / "log", LARGE)) as file:
+        assert read_all(file, "a") == []
+        assert read_all(file, "b") == []
+        file.append("a", A, 0, FRAME, b"goes on")
+        assert read_all(file, "a") == [b"goes on"]
+    assert "is damaged" in caplog.text
+    assert len(list(tmp_path.glob("log.*.unfit"))) == 1
+
+
+def test_what_a_full_disk_does_not_take_changes_nothing(tmp_path: Path) -> None:
+    with closing(LogFile(tmp_path / "log", 10_000)) as file:
+        messages = fill(file, "a", A, 40, 100)
+        held, reply = file.bytes, file.read("a", ReplayQuery())
+        with full_disk():
+            for attempt in (
+                lambda: file.append("a", A, 40, FRAME, b"one more"),
+                lambda: file.append("new", A, 0, FRAME, b"one more"),
+                lambda: file.append("a", A, 40, FRAME, bytes(5000)),  # which has to make room first
+                lambda: file.forget([Durable("a", A, 30)]),
+            ):
+                with pytest.raises(sqlite3.Error):
+                    attempt()
+                assert (file.bytes, file.read("a", ReplayQuery())) == (held, reply)
+        assert file.trajectories == ["a"]
+        file.append("new", A, 0, FRAME, b"goes on")
+        assert file.forget([Durable("a", A, 30)]) == 60
+        assert read_all(file, "a") == messages[60:]
+    with closing(LogFile(tmp_path / "log", 10_000)) as file:
+        assert (read_all(file, "a"), read_all(file, "new")) == (messages[60:], [b"goes on"])
+
+
+def test_whoever_reads_sees_one_moment_whatever_others_do(file: LogFile) -> None:
+    """Every reply is the log of a moment: from its first message on, none is missing."""
+    count, names = 1500, ["a", "b"]
+
+    def put() -> None:
+        for seq in range(count):
+            for name in names:
+                file.append(name, A, seq, FRAME, b"%d" % seq)
+                file.append(name, A, seq, CONTROL, b"%d" % seq)
+
+    def forget() -> None:
+        while (last := file.read("b", ReplayQuery()).last_seq or 0) < count - 1:
+            file.forget([Durable(name, A, max(0, last - 5)) for name in names])
+
+    def read() -> int:
+        seen = 0
+        while seen < count - 1:
+            reply = file.read("a", ReplayQuery(max_bytes=200))
+            first, seen = reply.first_seq or 0, reply.last_seq or 0
+            found = [int(data) for data in reply.messages]
+            # The first control alone may be there: its frame is forgotten with what is before.
+            assert found == [first + k // 2 for k in range(len(found))]
+            assert not reply.end or not found or found[-1] == seen
+            tail = file.tail("a")
+            assert tail is None or int(tail.data) == tail.seq >= seen
+        return seen
+
+    with ThreadPoolExecutor(3) as pool:
+        for work in [pool.submit(put), pool.submit(forget), pool.submit(read)]:
+            work.result()
+
+
+def test_much_is_forgotten_in_parts_between_which_the_log_can_be_used(file: LogFile) -> None:
+    messages, held = [], []
+    for name in ("a", "b"):
+        messages += fill(file, name, A, 700)
+
+    def between() -> None:
+        held.append(file.bytes)
+        file.append("c", A, len(held), FRAME, b"meanwhile")
+
+    durable = [Durable("a", A, 600), Durable("b", A, 600), Durable("a", A, 699)]
+    assert file.forget(durable, between) == 2 * (699 + 600)
+    assert held == sorted(held, reverse=True)
+    assert len(held) > 1
+    assert read_all(file, "a") + read_all(file, "b") == messages[2 * 699 : 1400] + messages[2600:]
+    assert read_all(file, "c") == [b"meanwhile"] * len(held)
+
+
 def test_another_version_is_left_alone(tmp_path: Path) -> None:
     with closing(sqlite3.connect(tmp_path / "log")) as connection:
         connection.execute("PRAGMA user_version = 9")
-    with pytest.raises(ValueError, match="is of version 9; this koop knows version 1"):
+    with pytest.raises(ValueError, match="is of version 9; this koop knows version 2"):
         LogFile(tmp_path / "log", LARGE)
 
 

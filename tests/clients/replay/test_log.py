@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import resource
 import time
 from collections.abc import Callable
 from contextlib import closing
@@ -135,6 +136,26 @@ def test_what_is_durable_is_forgotten(
         hub.put(durable_key("a"), encode(Durable("b", source.epoch, 9)))
         hub.put(durable_key("a"), encode(Durable("a", source.epoch, 7)))
         wait_until(lambda: log.bytes < before)
+        assert [m.seq for m in replayed(hub, "a")] == [7, 8, 9]
+
+
+def test_what_a_full_disk_did_not_let_it_forget_is_forgotten_later(
+    hub: zenoh.Session, session: zenoh.Session, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    with SourceLog(tmp_path / "log") as log, FrameSource(session, "a", log=log) as source:
+        for _ in range(10):
+            source.put_frame(IMAGE)
+        held = log.bytes
+        wait_until(lambda: tokens(hub) == {source_token("a")})
+        resource.setrlimit(resource.RLIMIT_FSIZE, (0, hard))  # no file takes anything
+        try:
+            hub.put(durable_key("a"), encode(Durable("a", source.epoch, 7)))
+            wait_until(lambda: "forgetting failed" in caplog.text)
+            assert log.bytes == held
+        finally:
+            resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+        wait_until(lambda: log.bytes < held)
         assert [m.seq for m in replayed(hub, "a")] == [7, 8, 9]
 
 
