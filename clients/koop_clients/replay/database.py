@@ -25,7 +25,7 @@ CREATE TABLE messages (
     epoch TEXT NOT NULL, seq INTEGER NOT NULL, kind INTEGER NOT NULL, data BLOB NOT NULL
 );
 """
-_LARGEST_JOURNAL = 48 << 20
+_LARGEST_JOURNAL = 64 << 20
 """Size [bytes] to which a write-ahead log is cut back that grew larger, when it begins anew."""
 _STEPS = {0: _SCHEMA, 1: "DROP INDEX by_trajectory"}
 """What makes a file of that version, or an empty one, one of this version."""

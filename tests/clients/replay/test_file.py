@@ -32,6 +32,15 @@ def file(tmp_path: Path):
         yield opened
 
 
+@pytest.fixture
+def hasty_threads():
+    """They change as often as they can."""
+    before = sys.getswitchinterval()
+    sys.setswitchinterval(1e-6)
+    yield
+    sys.setswitchinterval(before)
+
+
 @contextmanager
 def full_disk() -> Iterator[None]:
     """No file of this process takes anything."""
@@ -134,38 +143,44 @@ def test_what_is_durable_is_forgotten_with_all_epochs_before(file: LogFile) -> N
 
 @given(st.data())
 @settings(max_examples=40, deadline=None)
-def test_it_is_a_list_that_forgets_its_head(
+def test_it_is_lists_that_forget_their_heads(
     tmp_path_factory: pytest.TempPathFactory, data: st.DataObject
 ) -> None:
-    """Any appends, acknowledgements, restarts and questions, against a plain list."""
+    """Any appends, acknowledgements, restarts and questions, against plain lists."""
     path = tmp_path_factory.mktemp("log") / "log"
     file = LogFile(path, LARGE)
-    kept: list[tuple[str, int, bytes]] = []
+    kept: dict[str, list[tuple[str, int, bytes]]] = {"a": [], "b": []}
     epochs, seq, position = [A], 0, None
     for number in range(data.draw(st.integers(1, 30))):
         what = data.draw(st.sampled_from(["append"] * 5 + ["epoch", "forget", "reopen", "read"]))
+        name = data.draw(st.sampled_from("ab"))
         if what == "append":
             message = f"{number}".encode()
-            file.append("a", epochs[-1], seq, FRAME, message)
-            kept.append((epochs[-1], seq, message))
+            file.append(name, epochs[-1], seq, FRAME, message)
+            kept[name].append((epochs[-1], seq, message))
             seq += 1
         elif what == "epoch":
             epochs, seq = [*epochs, f"{number:016x}"], 0
-        elif what == "forget" and kept:
-            epoch, low = data.draw(st.sampled_from(kept))[:2]
-            file.forget([Durable("a", epoch, low)])
-            kept = kept[next(i for i, k in enumerate(kept) if k[:2] == (epoch, low)) :]
+        elif what == "forget":
+            durable = []
+            for one in filter(kept.get, "ba"):
+                at = data.draw(st.integers(0, len(kept[one]) - 1))
+                durable.append(Durable(one, *kept[one][at][:2]))
+                kept[one] = kept[one][at:]
+            file.forget(durable)
         elif what == "reopen":
             file.close()
             file = LogFile(path, LARGE)
-        elif kept:
-            epoch, low, _ = data.draw(st.sampled_from(kept))
-            start = next(i for i, k in enumerate(kept) if k[:2] == (epoch, low))
-            assert read_all(file, "a", ReplayQuery(epoch, low)) == [k[2] for k in kept[start:]]
-        reply = file.read("a", ReplayQuery())
-        assert [k[2] for k in kept] == list(reply.messages)
-        assert position is None or reply.position >= position, "a position was used twice"
-        position = reply.position if kept else position
+        elif kept[name]:
+            at = data.draw(st.integers(0, len(kept[name]) - 1))
+            query = ReplayQuery(*kept[name][at][:2])
+            assert read_all(file, name, query) == [k[2] for k in kept[name][at:]]
+        replies = {one: file.read(one, ReplayQuery()) for one in kept}
+        for one, reply in replies.items():
+            assert [k[2] for k in kept[one]] == list(reply.messages)
+        reached = max(reply.position for reply in replies.values())
+        assert position is None or reached >= position, "a position was used twice"
+        position = reached if any(kept.values()) else position
     file.close()
 
 
@@ -284,6 +299,19 @@ def test_a_file_that_is_damaged_within_is_set_aside(
     assert len(list(tmp_path.glob("log.*.unfit"))) == 1
 
 
+def test_a_file_with_a_row_that_is_no_message_is_set_aside(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    with closing(LogFile(tmp_path / "log", LARGE)) as file:
+        fill(file, "a", A, 3)
+    with closing(sqlite3.connect(tmp_path / "log")) as connection:
+        connection.execute("UPDATE messages SET seq = 'one' WHERE seq = 1")
+        connection.commit()
+    with caplog.at_level(logging.WARNING), closing(LogFile(tmp_path / "log", LARGE)) as file:
+        assert file.bytes == 0
+    assert "is damaged (a row is no message" in caplog.text
+
+
 def test_what_a_full_disk_does_not_take_changes_nothing(tmp_path: Path) -> None:
     with closing(LogFile(tmp_path / "log", 10_000)) as file:
         messages = fill(file, "a", A, 40, 100)
@@ -306,6 +334,7 @@ def test_what_a_full_disk_does_not_take_changes_nothing(tmp_path: Path) -> None:
         assert (read_all(file, "a"), read_all(file, "new")) == (messages[60:], [b"goes on"])
 
 
+@pytest.mark.usefixtures("hasty_threads")
 def test_whoever_reads_sees_one_moment_whatever_others_do(file: LogFile) -> None:
     """Every reply is the log of a moment: from its first message on, none is missing."""
     count, names = 1500, ["a", "b"]
@@ -333,26 +362,30 @@ def test_whoever_reads_sees_one_moment_whatever_others_do(file: LogFile) -> None
             assert tail is None or int(tail.data) == tail.seq >= seen
         return seen
 
-    with ThreadPoolExecutor(3) as pool:
-        for work in [pool.submit(put), pool.submit(forget), pool.submit(read)]:
+    with ThreadPoolExecutor(4) as pool:
+        for work in [pool.submit(work) for work in (put, forget, forget, read)]:
             work.result()
 
 
-def test_much_is_forgotten_in_parts_between_which_the_log_can_be_used(file: LogFile) -> None:
-    messages, held = [], []
-    for name in ("a", "b"):
-        messages += fill(file, name, A, 700)
+def test_much_is_forgotten_in_parts_between_which_the_log_can_be_used(tmp_path: Path) -> None:
+    kept, held = [], []
+    with closing(LogFile(tmp_path / "log", LARGE)) as file:
+        for seq in range(1500):
+            for name in ("a", "b"):
+                file.append(name, A, seq, FRAME, b"%d" % seq)
+            kept.append(b"%d" % seq)
 
-    def between() -> None:
-        held.append(file.bytes)
-        file.append("c", A, len(held), FRAME, b"meanwhile")
+        def between() -> None:
+            held.append(file.bytes)
+            file.append("c", A, len(held), FRAME, b"meanwhile")
 
-    durable = [Durable("a", A, 600), Durable("b", A, 600), Durable("a", A, 699)]
-    assert file.forget(durable, between) == 2 * (699 + 600)
-    assert held == sorted(held, reverse=True)
-    assert len(held) > 1
-    assert read_all(file, "a") + read_all(file, "b") == messages[2 * 699 : 1400] + messages[2600:]
-    assert read_all(file, "c") == [b"meanwhile"] * len(held)
+        durable = [Durable("a", A, 1300), Durable("b", A, 1200), Durable("a", A, 1400)]
+        assert file.forget(durable, between) == 1400 + 1200
+        assert held == sorted(held, reverse=True)
+        assert len(held) > 1
+    with closing(LogFile(tmp_path / "log", LARGE)) as file:
+        assert [read_all(file, name) for name in ("a", "b")] == [kept[1400:], kept[1200:]]
+        assert read_all(file, "c") == [b"meanwhile"] * len(held)
 
 
 def test_another_version_is_left_alone(tmp_path: Path) -> None:
