@@ -414,6 +414,17 @@ def test_tidying_keeps_everything_and_the_write_ahead_log_short(tmp_path: Path) 
         assert [message[0] for message in messages] == list(range(30))
 
 
+def test_a_write_ahead_log_that_grew_long_does_not_stay_so(tmp_path: Path) -> None:
+    with closing(LogFile(tmp_path / "log", LARGE)) as file:
+        for seq in range(40):
+            file.append("a", A, seq, FRAME, bytes(2 << 20))
+        assert (tmp_path / "log-wal").stat().st_size > 80 << 20
+        file.tidy()
+        file.append("a", A, 40, FRAME, b"begins anew")
+        assert (tmp_path / "log-wal").stat().st_size <= 64 << 20
+        assert file.read("a", ReplayQuery(A, 40)).messages == (b"begins anew",)
+
+
 WRITER = """
 import sys
 from pathlib import Path
