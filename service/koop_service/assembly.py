@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import gc
 import sys
 import threading
 from collections.abc import Iterator
@@ -15,6 +14,7 @@ import zenoh
 
 from koop_protocol import CATCHING_UP, NOT_DURABLE, Limits
 from koop_service.encoding.catalogue import Catalogue, ModelEntry, bundled_or_own
+from koop_service.serving.collector import settle, sparing
 from koop_service.serving.config import ServiceConfig
 from koop_service.serving.desk import Desk
 from koop_service.serving.durability.archive import Archive
@@ -118,12 +118,11 @@ def running(
             sys.exit(0)
         claim, records = taken
         restored = kit.registry.restore(records)
-        gc.freeze()  # what was restored lives long, too
         after = _DAY * config.durability.forget_after
         retention = Retention(store, claim, after, kit.registry.__contains__, kit.metrics)
         put = partial(put_durable, session)
         keeper = Keeper(store, claim, put, kit.metrics, stop.set, retention)
-        with ExitStack() as stack:
+        with sparing(), ExitStack() as stack:
             keeper.start()
             stack.callback(keeper.stop)
             archive = Archive(store.find)
@@ -243,8 +242,7 @@ def _catalogue(config: ServiceConfig) -> Catalogue:
 
 
 def _prepare(registry: Registry, catalogue: Catalogue, batch: int) -> None:
-    """Load what the first frame would have to wait for, and keep it out of garbage collection."""
+    """Load what the first frame would have to wait for."""
     for entry in catalogue.entries[:1]:
         rehearse(*registry.equipment(entry, control_size=1), batch)
-    gc.collect()
-    gc.freeze()
+    settle()

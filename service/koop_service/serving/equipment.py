@@ -34,6 +34,7 @@ class Equipment:
         self._choices = choices
         self._device = device
         self._codecs: dict[str, ImageCodec] = {}
+        self._settings: dict[tuple[str, int], EstimatorSettings] = {}
         self._banks: dict[tuple[str, int], Bank] = {}
 
     def match(self, name: str) -> ModelEntry | None:
@@ -41,8 +42,11 @@ class Equipment:
         return self._catalogue.match(name)
 
     def settings(self, entry: ModelEntry, control_size: int) -> EstimatorSettings:
-        """The estimator of a trajectory of this model."""
-        return settings_for(entry, self._choices, control_size)
+        """The estimator of a trajectory of this model; the same object for all of them."""
+        key = (entry.name, control_size)
+        if key not in self._settings:
+            self._settings[key] = settings_for(entry, self._choices, control_size)
+        return self._settings[key]
 
     def entry_for(self, name: str) -> ModelEntry:
         """The model of a trajectory. Raises ProtocolError (no_model) where there is none."""

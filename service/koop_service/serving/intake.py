@@ -142,9 +142,7 @@ class Intake(Generic[Q]):
     def take(self, count: int) -> list[Arrival]:
         """Measurements in turn, at most `count`."""
         with self._lock:
-            batch = self._turns.take(count, time.monotonic())
-            self._space.notify_all()
-            return batch
+            return self._taken(self._turns.take(count, time.monotonic()))
 
     def worked(self, batch: list[Arrival], seconds: float) -> None:
         """Say how long [s] what `take` gave has taken; strangers wait accordingly."""
@@ -154,9 +152,7 @@ class Intake(Generic[Q]):
     def take_of(self, lane: str, before: int, count: int) -> list[Arrival]:
         """The oldest measurements of one trajectory with a ticket below `before`, out of turn."""
         with self._lock:
-            batch = self._turns.take_of(lane, before, count, time.monotonic())
-            self._space.notify_all()
-            return batch
+            return self._taken(self._turns.take_of(lane, before, count, time.monotonic()))
 
     def take_queries(self) -> list[Waiting[Q]]:
         """All queries that came since the last call, oldest first."""
@@ -192,6 +188,11 @@ class Intake(Generic[Q]):
             self._turns.hurry()
             self._work.notify_all()
             self._space.notify_all()
+
+    def _taken(self, batch: list[Arrival]) -> list[Arrival]:
+        if batch:  # else nobody is woken in vain, to compete with the pipeline's thread
+            self._space.notify_all()
+        return batch
 
     def _has_work(self, now: float) -> bool:
         others = (self._queries, self._presences, self._news)

@@ -23,7 +23,10 @@ _DTYPES = {np.dtype(name).str: np.dtype(name) for name in ("uint8", "float16", "
 
 
 def snapshot_of(trajectory: Trajectory) -> dict[str, Any]:
-    """The record from which `restored` continues with the same bits."""
+    """The record from which `restored` continues with the same bits.
+
+    One that has learned nothing yet has no lane: a thousand that have just begun cost little.
+    """
     return {
         "version": _VERSION,
         "model": trajectory.entry.name,
@@ -35,7 +38,7 @@ def snapshot_of(trajectory: Trajectory) -> dict[str, Any]:
         "dtype": trajectory.dtype.str,
         "rejected": dict(trajectory.rejected),
         "stream": trajectory.stream.snapshot(),
-        "lane": trajectory.bank.snapshot(trajectory.lane),
+        "lane": trajectory.bank.snapshot(trajectory.lane) if trajectory.updates else None,
     }
 
 
@@ -77,9 +80,10 @@ def restored(
     predecessors = tuple(checks.epoch("predecessor", p) for p in record["predecessors"])
     rejected = {str(reason): int(count) for reason, count in record["rejected"].items()}
     dtype = _DTYPES[record["dtype"]]
-    lane = bank.open()
+    lane, learned = bank.open(), record["lane"]
     try:
-        bank.restore(lane, record["lane"])
+        if learned is not None:
+            bank.restore(lane, learned)
     except Exception:
         bank.close(lane)
         raise

@@ -26,12 +26,15 @@ would make them wait longer than one does."""
 _TOGETHER = 20
 """All strangers together go so many times faster: a thousand trajectories may begin on one link,
 which waits as a whole."""
-_OTHERS, _AT_MOST = 3.0, 0.3
+_OTHERS, _AT_MOST = 9.0, 0.3
 """... And after each work for them the others have the processor for so many times as long, up to
 so many seconds: a process that was suspended meanwhile keeps nobody out."""
-_FEW, _SHORT = 4, 0.002
+_FEW, _SHORT = 4, 0.0005
 """While others are active, so many strangers are taken at once, or as few as were done in so short
-a time [s], and only where no other is to be taken: who comes meanwhile waits for no more."""
+a time [s], where no other is to be taken: who comes meanwhile waits for no more. ..."""
+_LONELY = 0.02
+"""... Where even one took longer, they go with others' frames; one alone where none of these come
+for so long [s]."""
 _ACTIVE = 1.0
 """How long after its last measurement a share still counts as active [s]."""
 
@@ -94,8 +97,13 @@ class Paces:
 
     @property
     def few(self) -> int:
-        """Strangers that may be taken at once while others are active."""
-        return _FEW if self._stranger * _FEW <= _SHORT else max(1, int(_SHORT / self._stranger))
+        """Strangers that may be taken at once, by themselves, while others are active."""
+        return _FEW if self._stranger * _FEW <= _SHORT else int(_SHORT / self._stranger)
+
+    @property
+    def patience(self) -> float:
+        """How long one that costs much waits for company [s]."""
+        return 0.0 if self.few else _LONELY
 
     def note(self, name: str, at: float) -> None:
         """The share got something."""

@@ -4,7 +4,7 @@ Every trajectory is a *lane*, and has a *share* of the queue of its own; all tha
 that nobody knows have one share together. A share has a bounded part of the room, and the shares
 take turns, and while others are active each at a pace that is far above any camera's. So a source
 that floods holds itself back; a measurement of another one waits for nobody's backlog, and finds
-the processor free. Strangers get what time the known ones leave.
+the processor free. Strangers get what time the known ones leave, or go with their frames.
 """
 
 from __future__ import annotations
@@ -19,12 +19,11 @@ from koop_service.serving.shares import Paces, Share
 __all__ = ["Arrival", "Turns", "lane_of"]
 
 _NEVER = float("inf")
+_COMPANY = 4
+"""One stranger goes with the known ones' frames, or with so many of these one each."""
 _PART = 8
 """A share has at most this part of the room, where that is more than the least."""
 _LEAST_MESSAGES, _LEAST_SIZE = 64, 1 << 20
-_OVERDUE, _MORE = 0.02, 5
-"""Where the known ones leave strangers no time for so long [s], these go first for once, so many
-times as many of them."""
 
 
 class Turns:
@@ -86,19 +85,20 @@ class Turns:
         soonest = _NEVER
         for name, share in self._shares.items():
             if share.messages:
-                soonest = min(soonest, self._paces.turn_of(name, share))
+                patience = self._paces.patience if name == STRANGERS else 0.0
+                soonest = min(soonest, self._paces.turn_of(name, share) + patience)
                 if soonest <= now:
                     break
         return soonest
 
     def take(self, count: int, now: float) -> list[Arrival]:
-        """At most `count`, one of each share after the other's."""
+        """At most `count`, one of each share after the other's, and the strangers with them."""
         if not self._paces.are_kept(now):
             return self._take_round(count, now, lambda *_: True)
-        few = self._paces.few
-        batch = self._take_strangers(min(count, _MORE * few), now - _OVERDUE, now)
-        batch += self._take_round(count - len(batch), now, self._may)
-        return batch or self._take_strangers(min(count, few), now, now)
+        batch = self._take_round(count, now, self._may)
+        if any(arrival.is_frame for arrival in batch):
+            return batch + self._take_strangers(max(1, len(batch) // _COMPANY), 0.0, now)
+        return batch or self._take_strangers(max(1, self._paces.few), self._paces.patience, now)
 
     def take_of(self, lane: str, before: int, count: int, now: float) -> list[Arrival]:
         """The oldest of one lane with a ticket below `before`, out of turn."""
@@ -113,10 +113,18 @@ class Turns:
         return batch
 
     def worked(self, batch: Sequence[Arrival], seconds: float, now: float) -> None:
-        """What `take` gave has taken so long [s]; strangers pay for their part of that."""
-        strangers = sum(arrival.share == STRANGERS for arrival in batch)
+        """What `take` gave has taken so long [s]; strangers pay for their part of that.
+
+        Among others' frames that is the part of those that are known now: a trajectory was opened
+        for them. The rest were refused, which costs next to nothing.
+        """
+        strangers = [lane_of(arrival.key) for arrival in batch if arrival.share == STRANGERS]
+        others = len(batch) - len(strangers)
+        if others:
+            opened = sum(map(self._known, strangers))
+            seconds *= opened / (others + opened)
         if strangers:
-            self._paces.pay_work(strangers, seconds * strangers / len(batch), now)
+            self._paces.pay_work(len(strangers), seconds, now)
 
     def oldest(self) -> float:
         """The lowest ticket that waits; infinity where none does."""
@@ -173,11 +181,13 @@ class Turns:
         share = self._shares[name]
         return name != STRANGERS and self._paces.turn_of(name, share, mine, batch) <= now
 
-    def _take_strangers(self, count: int, due: float, now: float) -> list[Arrival]:
-        """So many of them, if their turn came at `due` [s] at the latest."""
+    def _take_strangers(self, count: int, patience: float, now: float) -> list[Arrival]:
+        """So many of them, if their turn came so long [s] ago."""
         batch: list[Arrival] = []
         share = self._shares.get(STRANGERS)
-        if share is not None and share.messages and self._paces.turn_of(STRANGERS, share) <= due:
+        if share is None or not share.messages:
+            return batch
+        if self._paces.turn_of(STRANGERS, share) + patience <= now:
             while len(batch) < count and STRANGERS in self._shares:
                 batch += self._take_one(STRANGERS, now)
         return batch

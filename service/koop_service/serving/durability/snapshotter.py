@@ -18,8 +18,9 @@ from koop_service.serving.records import snapshot_of
 from koop_service.serving.registry import Registry
 from koop_service.serving.trajectories import Trajectory
 
-_BUDGET = 0.002
-"""Time for copies between two batches [s]."""
+_LEAST, _MOST, _PART = 0.0005, 0.002, 0.07
+"""Time for copies between two batches [s]: this part of what has passed since the last ones, so
+that who comes meanwhile waits for little, and a busy service is done with them in time."""
 _LEAVING = 1024
 """Trajectories that may have left memory without being on disk; further ones wait for the disk."""
 _LONG, _STORING = 3600.0, 0.02
@@ -53,6 +54,7 @@ class Snapshotter:
         self._batch: dict[str, Snapshot] = {}
         self._handed: dict[str, Snapshot] = {}
         self._next = clock() + every
+        self._copied = clock()
         self._is_first = True
         self._changed_since: float | None = None
         self._round_since: float | None = None
@@ -87,7 +89,9 @@ class Snapshotter:
     def step(self) -> None:
         """Begin a round where one is due, or go on with it."""
         if self._due:
-            self._copy(self._clock() + _BUDGET)
+            now = self._clock()
+            self._copy(now + min(_MOST, max(_LEAST, _PART * (now - self._copied))))
+            self._copied = self._clock()
         elif self._every and self._clock() >= self._next and self._keeper.is_idle:
             self._begin()
 
