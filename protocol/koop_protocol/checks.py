@@ -168,7 +168,7 @@ def binaries(field: str, value: object) -> tuple[bytes, ...]:
 
 def _entries(field: str, value: object) -> tuple[object, ...]:
     if isinstance(value, np.ndarray):
-        array = cast(NDArray[np.generic], value)
+        array = cast("NDArray[np.generic]", value)
         value = list(array) if array.ndim == 1 else None
     if not isinstance(value, list | tuple):
         raise fault(ErrorCode.wrong_type, field, f"is {shown(value)}", "a list")
@@ -250,11 +250,11 @@ def _float_values(field: str, array: NDArray[np.generic]) -> NDArray[np.floating
 def _array(field: str, value: object) -> NDArray[np.generic]:
     if not isinstance(value, np.ndarray):
         raise fault(ErrorCode.wrong_type, field, f"is {shown(value)}", "an array")
-    return cast(NDArray[np.generic], value)
+    return cast("NDArray[np.generic]", value)
 
 
 def _finite(field: str, array: NDArray[np.generic]) -> NDArray[np.floating]:
-    floats = cast(NDArray[np.floating], array)
+    floats = cast("NDArray[np.floating]", array)
     if not np.isfinite(floats).all():
         raise fault(ErrorCode.not_finite, field, "holds NaN or infinity", "finite values only")
     return floats
@@ -279,5 +279,5 @@ def shown(value: object) -> str:
     if isinstance(value, bytes):
         return f"{len(value)} bytes"  # their repr could be many times the message
     if isinstance(value, np.ndarray):
-        return f"an array of shape {cast(NDArray[np.generic], value).shape}"
+        return f"an array of shape {cast('NDArray[np.generic]', value).shape}"
     return f"{reprlib.repr(value)} ({type(value).__name__})"

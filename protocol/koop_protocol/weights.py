@@ -34,7 +34,7 @@ def check_weights(field: str, value: object, max_size: int, definite: bool) -> W
         if number < 0 or (definite and number == 0):
             raise _bad(field, f"is {number}", definite)
         return number
-    array = cast(NDArray[np.generic], value)
+    array = cast("NDArray[np.generic]", value)
     if array.ndim == 1:
         diagonal = checks.vector(field, array, max_size)
         if (diagonal < 0).any() or (definite and not diagonal.all()):
