@@ -130,13 +130,17 @@ class FactorBatch:
     def extract(self, lane: int) -> Factor:
         """A copy of the lane's factor, as the single-stream value."""
         block, column = self._place(lane)
-        arrays, factor = self._arrays, init(self.settings)
-        gather(arrays.blocks[block], column, factor.rows, self.settings.regressor_size)
-        factor.anchor[:] = arrays.anchor[lane]
-        factor.centre[:] = arrays.centre[lane]
-        factor.ring[:] = arrays.ring[lane]
-        factor.steps = int(arrays.steps[lane])
-        return factor
+        arrays, d = self._arrays, self.settings.regressor_size
+        rows = np.zeros(self._rows.shape)
+        gather(arrays.blocks[block], column, rows, d)
+        return Factor(
+            rows,
+            rows[d, d:],
+            arrays.anchor[lane].copy(),
+            arrays.centre[lane].copy(),
+            arrays.ring[lane].copy(),
+            int(arrays.steps[lane]),
+        )
 
     def insert(self, lane: int, factor: Factor) -> None:
         """Put a factor into a lane; raises ValueError where it does not fit the settings."""

@@ -89,10 +89,10 @@ class ControlJoin:
         the next frame, and all that they change is the count of controls. `row`: how many of the
         frames are the next ones, without a gap.
         """
-        if self._settings.control_size == 0:
-            return None
-        late = [w.seq for w in self._windows if self.frames + frames - w.folded > self._limit]
         run, h = len(self._run), self._settings.history
+        if self._settings.control_size == 0 or (run >= h and not self._windows):
+            return None  # as nearly always
+        late = [w.seq for w in self._windows if self.frames + frames - w.folded > self._limit]
         late += [self._next_seq - 2 + j for j in range(max(1, 2 - run), 1 + min(row, h - run))]
         return max((seq for seq in late if seq not in self._controls), default=None)
 
