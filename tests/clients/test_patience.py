@@ -1,13 +1,15 @@
-"""A client waits for what passes, and not for ever."""
+"""A client waits for what passes, not for ever, and says why it had no answer."""
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 
 from koop_clients.queries import NO_REPLY, KoopError
 from koop_clients.sim_client import patience as module
+from koop_clients.sim_client.forecasting import Asker
 from koop_clients.sim_client.patience import PASSING, Patience, in_few_words
-from koop_protocol import ErrorCode
+from koop_protocol import ErrorCode, PredictReply
 
 
 @pytest.fixture
@@ -56,3 +58,41 @@ def test_a_refusal_fits_into_a_row() -> None:
     assert in_few_words(warming) == "warming up, 12 of 36 frames"
     assert in_few_words(KoopError(NO_REPLY, "long")) == "the service does not answer"
     assert in_few_words(KoopError("overloaded", "too many queries")) == "too many queries"
+
+
+class Answers:
+    """A service that gives one answer, or error, after the other."""
+
+    def __init__(self, *answers: PredictReply | KoopError) -> None:
+        self._answers = iter(answers)
+
+    def predict(self, *_: object) -> PredictReply:
+        answer = next(self._answers)
+        if isinstance(answer, KoopError):
+            raise answer
+        return answer
+
+
+WARMING = KoopError(ErrorCode.warming_up, "12 of 36 frames")
+UNKNOWN = KoopError(ErrorCode.unknown_trajectory, "no frame of 'a' has come")
+ANSWER = PredictReply("a", "0" * 16, 0, codes=np.zeros((1, 8)))
+
+
+@pytest.mark.parametrize(
+    ("answers", "told"),
+    [
+        ([], ""),
+        ([UNKNOWN, WARMING], ""),
+        ([UNKNOWN, WARMING, ANSWER, UNKNOWN], ""),
+        ([WARMING, UNKNOWN], "no frame of 'a' has come. Frames were put all the time; where the"),
+        ([KoopError(NO_REPLY, "nobody answers")], "nobody answers"),
+    ],
+)
+def test_a_service_that_never_answered_is_told_of(
+    answers: list[PredictReply | KoopError], told: str
+) -> None:
+    asker = Asker(Answers(*answers))  # type: ignore[arg-type]
+    for _ in answers:
+        asker.predict("a", None, 1)
+    assert asker.silence[: len(told)] == told
+    assert bool(asker.silence) == bool(told)

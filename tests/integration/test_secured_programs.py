@@ -21,12 +21,13 @@ MODULES = {
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """With the deployment that the README makes, and a recorder."""
+    """With the deployment that the README makes, a recorder, and somebody who may only look on."""
     folder = tmp_path_factory.mktemp("programs")
     robot = "pendulum-actuated/0"
     run(folder, "koop-pki", "init")
     run(folder, "koop-pki", "add", "robot", "--publishes", robot, "--operates", robot)
     run(folder, "koop-pki", "add", "recorder", "--records", "**")
+    run(folder, "koop-pki", "add", "wall", "--views", "**")
     return folder
 
 
@@ -51,13 +52,15 @@ def endpoint(folder: Path) -> Iterator[str]:
         process.communicate()
 
 
-def run(folder: Path, program: str, *options: str) -> subprocess.CompletedProcess[str]:
-    """The program, from its folder, to its end."""
+def run(
+    folder: Path, program: str, *options: str, code: int = 0
+) -> subprocess.CompletedProcess[str]:
+    """The program, from its folder, to its end with that exit code."""
     command = [sys.executable, "-m", MODULES[program], *options]
     done = subprocess.run(
         command, cwd=folder, capture_output=True, text=True, timeout=100, check=False
     )
-    assert done.returncode == 0, done.stderr
+    assert done.returncode == code, done.stderr
     return done
 
 
@@ -92,3 +95,11 @@ def test_what_streams_is_predicted_and_recorded(folder: Path, endpoint: str) -> 
     out, err = recorder.communicate(timeout=DEADLINE)
     assert recorder.returncode == 0, err
     assert "wrote robot.h5: 1 segments of 20 frames" in out
+
+
+def test_who_may_not_publish_is_told_so(folder: Path, endpoint: str) -> None:
+    options = ["--connect", endpoint, "--zenoh-config", "pki/wall/zenoh.json5"]
+    plan = ["--system", "pendulum", "--duration", "2"]
+    done = run(folder, "koop-sim-client", *options, *plan, code=1)
+    assert "streamed 40 frames" in done.stdout
+    assert "do not let this certificate publish it" in done.stderr.splitlines()[-1]

@@ -19,9 +19,11 @@ from koop_clients.replay.log import SourceLog
 from koop_clients.sim_client.arguments import Arguments, parse_arguments
 from koop_clients.sim_client.display import Display
 from koop_clients.sim_client.driving.target import Target, read_target
+from koop_clients.sim_client.flowing.result import FlowResult
 from koop_clients.sim_client.flowing.run import FlowRun
 from koop_clients.sim_client.live import LiveRun
 from koop_clients.sim_client.pacing import Stop
+from koop_clients.sim_client.report import Result
 
 _POLL = 0.1  # s
 
@@ -30,7 +32,7 @@ def main() -> None:
     """Entry point.
 
     Exits with 2 for arguments that make no sense, and with 1 where the service cannot be reached,
-    cannot serve the system, or finds its model not fit to drive any of the plants.
+    cannot serve the system, answers nothing, or finds its model not fit to drive any of the plants.
     """
     try:
         begin = _prepared(parse_arguments())
@@ -66,10 +68,7 @@ def run_flow(arguments: Arguments, settings: FlowSettings) -> None:
         arguments.output.record.parent.mkdir(parents=True, exist_ok=True)
         live.record().save(arguments.output.record)
         display.say(f"saved {arguments.output.record}")
-    result = live.result()
-    print(result.to_json() if arguments.output.json else "\n" + result.to_text())
-    if result.refusal:
-        sys.exit(f"koop-sim-client: the service did not drive: {result.refusal}")
+    _report(live.result(), live.silence, arguments)
 
 
 def run(arguments: Arguments, system: System, target: Target) -> None:
@@ -83,10 +82,16 @@ def run(arguments: Arguments, system: System, target: Target) -> None:
         live.run(stop)
         flush(session)
     _save(live, arguments, display)
-    result = live.result()
+    _report(live.result(), live.silence, arguments)
+
+
+def _report(result: Result | FlowResult, silence: str, arguments: Arguments) -> None:
+    """Print what was found; SystemExit where the service did not do what it was asked for."""
     print(result.to_json() if arguments.output.json else "\n" + result.to_text())
     if result.refusal:
         sys.exit(f"koop-sim-client: the service did not drive: {result.refusal}")
+    if silence:
+        sys.exit(f"koop-sim-client: no prediction was answered: {silence}")
 
 
 def _connect(arguments: Arguments, display: Display) -> zenoh.Session:

@@ -8,7 +8,7 @@ from collections import deque
 import numpy as np
 
 from koop_clients.queries import KoopClient, KoopError
-from koop_clients.sim_client.patience import Patience, in_few_words
+from koop_clients.sim_client.patience import Patience, explained, in_few_words
 from koop_protocol import ErrorCode, PredictReply
 
 
@@ -27,6 +27,14 @@ class Asker:
         self.standing = "waiting for the first answer"
         self.latencies: deque[float] = deque(maxlen=10_000)
         self.refused = 0
+        self._last: KoopError | None = None
+
+    @property
+    def silence(self) -> str:
+        """Why no question was ever answered; "" where one was, or the model was not ready yet."""
+        if self.latencies or self._last is None or self._last.code == ErrorCode.warming_up:
+            return ""
+        return explained(self._last)
 
     def predict(
         self, trajectory: str, controls: np.ndarray | None, ahead: int
@@ -50,3 +58,4 @@ class Asker:
         self._patience.try_with(error)
         self.refused += error.code not in (ErrorCode.warming_up, ErrorCode.unknown_trajectory)
         self.standing = in_few_words(error)
+        self._last = error

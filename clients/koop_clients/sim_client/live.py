@@ -115,6 +115,11 @@ class LiveRun:
         lag = usual(self._asker.latencies)
         return 0.0 if math.isnan(lag) else lag
 
+    @property
+    def silence(self) -> str:
+        """Why no prediction was ever answered; "" where one was, or none could be."""
+        return self._asker.silence
+
     def result(self) -> Result:
         """What was found so far."""
         horizons = self._arguments.horizons

@@ -44,16 +44,18 @@ class Patience:
         now = time.monotonic()
         self._since = now if self._since is None else self._since
         if now - self._since > _LONGEST:
-            raise _explained(error)
+            message = f"for {_LONGEST:g} s now, {explained(error)}"
+            raise KoopError(error.code, message, error.details)
 
 
-def _explained(error: KoopError) -> KoopError:
-    """The refusal of a trajectory that was streamed all the time, and has not arrived."""
+def explained(error: KoopError) -> str:
+    """A refusal, and what it means where the trajectory was streamed all the time."""
     if error.code != ErrorCode.unknown_trajectory or "refused" in error.details:
-        return error
-    why = "where the hub has access rules, they do not let this certificate publish it"
-    message = f"{error.message}. Frames were put for {_LONGEST:g} s; {why}"
-    return KoopError(error.code, message, error.details)
+        return error.message
+    return (
+        f"{error.message}. Frames were put all the time; where the hub has access rules, they do "
+        "not let this certificate publish it"
+    )
 
 
 def in_few_words(error: KoopError) -> str:

@@ -68,6 +68,11 @@ class FlowRun:
             self._display.close()
         self._completed = not stop
 
+    @property
+    def silence(self) -> str:
+        """Why no prediction was ever answered; "" where one was, or none could be."""
+        return self._forecasts.asker.silence
+
     def result(self) -> FlowResult:
         """What was found so far."""
         early, late = self._forecasts.errors()
