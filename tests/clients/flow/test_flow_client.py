@@ -57,10 +57,25 @@ def seen(hub: zenoh.Session) -> Iterator[list[Frame | Control]]:
     del declared
 
 
+@pytest.fixture
+def warming(hub: zenoh.Session) -> Iterator[None]:
+    """The service is never ready."""
+
+    def refuse(query: zenoh.Query) -> None:
+        with query:
+            query.reply_err(encode(ErrorReply("warming_up", "one more frame")))
+
+    direct: Any = zenoh.handlers.Callback
+    declared = hub.declare_queryable("koop/predict/**", direct(refuse, indirect=False))
+    yield
+    declared.undeclare()
+
+
 def of_kind(seen: list[Any], kind: type) -> list[Any]:
     return [message for message in seen if isinstance(message, kind)]
 
 
+@pytest.mark.usefixtures("warming")
 def test_a_free_flow_streams(
     small: CylinderFlow, seen: list[Frame | Control], command: Callable
 ) -> None:
@@ -80,6 +95,7 @@ def test_a_free_flow_streams(
     assert "streaming cylinder/0 for 1.2 s, flowing freely" in err
 
 
+@pytest.mark.usefixtures("warming")
 def test_rotations_are_streamed_between_the_frames(
     small: CylinderFlow, seen: list[Frame | Control], command: Callable
 ) -> None:
@@ -162,6 +178,7 @@ def test_what_makes_no_sense_is_refused(
     assert words in " ".join(lines)
 
 
+@pytest.mark.usefixtures("warming")
 def test_the_first_run_tells_that_the_flow_develops(
     seen: list[Frame | Control],
     command: Callable,
