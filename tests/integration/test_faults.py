@@ -8,6 +8,7 @@ from __future__ import annotations
 import resource
 import signal
 import subprocess
+import sys
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack, closing, contextmanager
@@ -34,6 +35,14 @@ from koop_service.serving.durability.store import EVERY_SHARD
 Process = subprocess.Popen[str]
 
 STOPPED = 3.0  # s
+JUMPING = """
+import time
+real, real_ns = time.time, time.time_ns
+jump = lambda: 365 * 86400 * (1 if time.monotonic() % 1.0 < 0.5 else -1)
+time.time = lambda: real() + jump()
+time.time_ns = lambda: real_ns() + jump() * 10**9
+"""
+"""Read by Python at its start: a wall clock that is a year ahead, then a year behind, by turns."""
 
 
 class Stage:
@@ -142,6 +151,32 @@ def test_a_log_torn_by_a_crash_goes_on_from_what_is_sound(stage: Stage) -> None:
         wal.write_bytes(data[: -len(data) // 3] + bytes(1000))
         with playing(stage.endpoint, stage.log) as source:
             await_frames(stage.endpoint, frames + 30)
+            stage.finish(service, source)
+
+
+@pytest.fixture
+def jumping(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The wall clock of all processes that are started from now on."""
+    folder = tmp_path / "jumping"
+    folder.mkdir()
+    (folder / "sitecustomize.py").write_text(JUMPING)
+    monkeypatch.syspath_prepend(folder)
+    monkeypatch.setenv("PYTHONPATH", str(folder))
+    command = [sys.executable, "-c", "import time; print(time.time())"]
+    shown = float(subprocess.run(command, capture_output=True, text=True, check=True).stdout)
+    assert abs(shown - time.time()) > 300 * 86400
+
+
+@pytest.mark.usefixtures("jumping")
+def test_clocks_that_jump(stage: Stage) -> None:
+    """Each process is also killed and started anew, whatever the time is then."""
+    with stage.serving(), playing(stage.endpoint, stage.log):
+        frames = await_frames(stage.endpoint, 30)
+    with stage.serving("--evict-after", 1) as service:
+        with playing(stage.endpoint, stage.log):
+            frames = await_frames(stage.endpoint, frames + 60)
+        with playing(stage.endpoint, stage.log) as source:
+            await_frames(stage.endpoint, frames + 60)
             stage.finish(service, source)
 
 
