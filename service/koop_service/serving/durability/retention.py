@@ -3,7 +3,8 @@
 By the keeper's thread, between two batches: so what is deleted is not being saved. A trajectory in
 memory stays, however old its record is; one that comes back from the disk is stored anew, which
 makes it young. Only the shards of the claim are looked at, and nothing is deleted under a claim
-that is lost.
+that is lost. It takes two looks in a row: a calendar that is wrong for a while, such as that of a
+machine that has just started, deletes nothing.
 """
 
 from __future__ import annotations
@@ -47,6 +48,7 @@ class Retention:
         self._clock = clock
         self._every = min(_EVERY, after)
         self._next = clock()
+        self._old: set[str] = set()  # at the last look
 
     def pause(self) -> float | None:
         """Time until `step` has something to do [s]; None: it never has."""
@@ -58,7 +60,8 @@ class Retention:
             return
         self._next = self._clock() + self._every
         silent = self._store.silent(self._claim.shards, self._after)
-        gone = [name for name in silent if not self._is_here(name)]
+        gone = [name for name in silent if name in self._old and not self._is_here(name)]
+        self._old = set(silent)
         for start in range(0, len(gone), _AT_ONCE):
             names = gone[start : start + _AT_ONCE]
             self._store.delete(self._claim, names)
