@@ -211,10 +211,10 @@ def undisturbed(
     """Records of all trajectories after the same frames and controls, one after the other."""
     from koop_service.encoding.catalogue import Catalogue, ModelEntry
     from koop_service.serving.config import EstimatorChoices
-    from koop_service.serving.metrics import Metrics
-    from koop_service.serving.records import snapshot_of
-    from koop_service.serving.refusals import Refusals
-    from koop_service.serving.registry import Registry
+    from koop_service.serving.monitoring.metrics import Metrics
+    from koop_service.serving.trajectories.records import snapshot_of
+    from koop_service.serving.trajectories.refusals import Refusals
+    from koop_service.serving.trajectories.registry import Registry
 
     entry = ModelEntry("benchmark", weights, ("*",))
     registry = Registry(Catalogue([entry]), EstimatorChoices(), Refusals(Metrics()), count)

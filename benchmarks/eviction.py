@@ -26,11 +26,11 @@ from koop_service.serving.durability.keeper import Keeper
 from koop_service.serving.durability.lmdb_store import LmdbStore
 from koop_service.serving.durability.snapshotter import Snapshotter
 from koop_service.serving.durability.store import EVERY_SHARD
-from koop_service.serving.eviction import Eviction
-from koop_service.serving.metrics import Metrics
-from koop_service.serving.process import own_bytes
-from koop_service.serving.refusals import Refusals
-from koop_service.serving.registry import Registry
+from koop_service.serving.monitoring.metrics import Metrics
+from koop_service.serving.monitoring.process import own_bytes
+from koop_service.serving.trajectories.eviction import Eviction
+from koop_service.serving.trajectories.refusals import Refusals
+from koop_service.serving.trajectories.registry import Registry
 
 PICTURE = np.zeros((64, 64), np.uint8)
 

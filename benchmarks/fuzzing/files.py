@@ -32,13 +32,13 @@ from koop_service.encoding.weights import ModelCard, load_card, load_weights, sa
 from koop_service.estimation.estimator import Bank
 from koop_service.estimation.stream import Stream
 from koop_service.learning.recording import load_manifest, load_recording
-from koop_service.serving import queries
+from koop_service.serving.answering import queries
 from koop_service.serving.config import EstimatorChoices
 from koop_service.serving.durability import sealing
-from koop_service.serving.equipment import settings_for
-from koop_service.serving.records import check_record, restored, snapshot_of
 from koop_service.serving.toml import load_config
-from koop_service.serving.trajectories import Trajectory
+from koop_service.serving.trajectories.equipment import settings_for
+from koop_service.serving.trajectories.records import check_record, restored, snapshot_of
+from koop_service.serving.trajectories.trajectory import Trajectory
 
 NAME, EPOCH, CODE_SIZE = "cart/0", "00000000000000aa", 2
 

@@ -14,9 +14,15 @@ import zenoh
 
 from koop_protocol import CATCHING_UP, NOT_DURABLE, Limits
 from koop_service.encoding.catalogue import Catalogue, ModelEntry, bundled_or_own
-from koop_service.serving.collector import settle, sparing
+from koop_service.serving.admission.intake import Intake
+from koop_service.serving.admission.pace import Pace
+from koop_service.serving.admission.strain import MEMORY, QUEUE, Strain
+from koop_service.serving.answering.desk import Desk
+from koop_service.serving.answering.outbox import Outbox
+from koop_service.serving.answering.questions import Question
+from koop_service.serving.answering.replies import Replies
+from koop_service.serving.answering.shedding import Shedding
 from koop_service.serving.config import ServiceConfig
-from koop_service.serving.desk import Desk
 from koop_service.serving.durability.archive import Archive
 from koop_service.serving.durability.keeper import Keeper
 from koop_service.serving.durability.log_reader import LogReader
@@ -24,31 +30,25 @@ from koop_service.serving.durability.opening import claim_and_load, open_store
 from koop_service.serving.durability.recovery import Recovery
 from koop_service.serving.durability.retention import Retention
 from koop_service.serving.durability.snapshotter import Snapshotter
-from koop_service.serving.endings import Endings
 from koop_service.serving.endpoint import Endpoint, put_command, put_durable, put_notice
-from koop_service.serving.equipment import settings_for
-from koop_service.serving.eviction import Eviction
-from koop_service.serving.gauges import serve_metrics, watch_durability, watch_load
-from koop_service.serving.intake import Intake
 from koop_service.serving.measurements import Measurements
-from koop_service.serving.memory import Memory
-from koop_service.serving.metrics import Metrics
-from koop_service.serving.outbox import Outbox
-from koop_service.serving.pace import Pace
+from koop_service.serving.monitoring.collector import settle, sparing
+from koop_service.serving.monitoring.gauges import serve_metrics, watch_durability, watch_load
+from koop_service.serving.monitoring.memory import Memory
+from koop_service.serving.monitoring.metrics import Metrics
+from koop_service.serving.monitoring.vitals import Vitals, worker_name
+from koop_service.serving.monitoring.watchdog import Watchdog, give_up
 from koop_service.serving.pipeline import Pipeline
 from koop_service.serving.placement.ownership import Ownership
-from koop_service.serving.questions import Question
-from koop_service.serving.refusals import Refusals
-from koop_service.serving.registry import Registry
 from koop_service.serving.rehearsal import rehearse
-from koop_service.serving.replies import Replies
 from koop_service.serving.session import locators
-from koop_service.serving.shedding import Shedding
 from koop_service.serving.steering.commander import Commander
 from koop_service.serving.steering.tasks import Tasks
-from koop_service.serving.strain import MEMORY, QUEUE, Strain
-from koop_service.serving.vitals import Vitals, worker_name
-from koop_service.serving.watchdog import Watchdog, give_up
+from koop_service.serving.trajectories.endings import Endings
+from koop_service.serving.trajectories.equipment import settings_for
+from koop_service.serving.trajectories.eviction import Eviction
+from koop_service.serving.trajectories.refusals import Refusals
+from koop_service.serving.trajectories.registry import Registry
 
 _DAY = 86400.0
 """Seconds."""

@@ -17,13 +17,13 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import zenoh
 
 from koop_service.assembly import Service, equip, running
-from koop_service.serving import logs
 from koop_service.serving.config import ServiceConfig
+from koop_service.serving.monitoring import logs
+from koop_service.serving.monitoring.process import limit_arenas
 from koop_service.serving.options import read_options
 from koop_service.serving.placement.member import FENCED, Orders, report
 from koop_service.serving.placement.settings import PlacementSettings
 from koop_service.serving.placement.supervisor import supervise
-from koop_service.serving.process import limit_arenas
 from koop_service.serving.session import UnreachableError, open_session
 
 log = logging.getLogger("koop.service")

@@ -159,7 +159,7 @@ def test_an_exception_of_ours_is_answered_and_logged(
         raise RuntimeError("a bug")
 
     with monkeypatch.context() as patch:
-        patch.setattr("koop_service.serving.forecasts.rollout", fail)
+        patch.setattr("koop_service.serving.answering.forecasts.rollout", fail)
         reply = koop.predict("cart/0")
     assert isinstance(reply, ErrorReply)
     assert reply.code == "internal"
@@ -176,7 +176,7 @@ def test_too_many_queries_are_told_so(
         koop.state("cart/0")
         wait_until(lambda: koop.service.metrics.value("koop_queue_queries") == 0)
         with monkeypatch.context() as patch:
-            patch.setattr("koop_service.serving.desk.Desk._is_due", lambda *_: False)
+            patch.setattr("koop_service.serving.answering.desk.Desk._is_due", lambda *_: False)
             waiting = [koop.session.get("koop/state/cart/0", timeout=DEADLINE) for _ in range(3)]
             wait_until(lambda: koop.service.metrics.value("koop_queue_queries") == 3)
             reply = koop.ask_one("koop/state/cart/0")

@@ -26,15 +26,15 @@ from koop_protocol import (
     Limits,
     encode,
 )
+from koop_service.serving.admission.intake import Arrival
 from koop_service.serving.config import EstimatorChoices
 from koop_service.serving.durability.news import LogAnswer, LogPresence, LogQuestion
 from koop_service.serving.durability.recovery import Recovery
 from koop_service.serving.durability.sealing import seal, unseal
-from koop_service.serving.intake import Arrival
 from koop_service.serving.measurements import Measurements
-from koop_service.serving.metrics import Metrics
-from koop_service.serving.records import snapshot_of
-from koop_service.serving.refusals import Refusals
+from koop_service.serving.monitoring.metrics import Metrics
+from koop_service.serving.trajectories.records import snapshot_of
+from koop_service.serving.trajectories.refusals import Refusals
 
 NAME = "cart/0"
 CHOICES = EstimatorChoices(forgetting=0.9)

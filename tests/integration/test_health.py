@@ -18,7 +18,7 @@ from koop_clients import health
 from koop_clients.queries import NO_REPLY, KoopClient, KoopError
 from koop_service.serving.config import MonitoringSettings
 from koop_service.serving.measurements import Measurements
-from koop_service.serving.watchdog import EXIT_CODE
+from koop_service.serving.monitoring.watchdog import EXIT_CODE
 
 STUCK = """
 import threading

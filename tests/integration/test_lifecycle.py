@@ -21,7 +21,7 @@ from koop_protocol import (
     source_token,
     state_key,
 )
-from koop_service.serving.strain import Strain
+from koop_service.serving.admission.strain import Strain
 
 
 @contextmanager

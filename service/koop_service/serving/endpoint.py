@@ -23,19 +23,19 @@ from koop_protocol import (
     owner_of,
     trajectory_of,
 )
-from koop_service.serving.durability.news import LogPresence
-from koop_service.serving.intake import Intake, Presence
-from koop_service.serving.metrics import Metrics
-from koop_service.serving.pace import Pace
-from koop_service.serving.placement.ownership import Ownership
-from koop_service.serving.questions import (
+from koop_service.serving.admission.intake import Intake, Presence
+from koop_service.serving.admission.pace import Pace
+from koop_service.serving.admission.strain import RETRY_AFTER
+from koop_service.serving.answering.questions import (
     Question,
     ZenohQuestion,
     error_bytes,
     name_in,
 )
-from koop_service.serving.shedding import Shedding
-from koop_service.serving.strain import RETRY_AFTER
+from koop_service.serving.answering.shedding import Shedding
+from koop_service.serving.durability.news import LogPresence
+from koop_service.serving.monitoring.metrics import Metrics
+from koop_service.serving.placement.ownership import Ownership
 
 log = logging.getLogger("koop.endpoint")
 

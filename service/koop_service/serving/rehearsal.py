@@ -19,7 +19,7 @@ from koop_service.prediction.uncertainty import rollout_std
 from koop_service.serving.steering.aims import Aim
 from koop_service.serving.steering.courses import Course, Schedule
 from koop_service.serving.steering.fitness import judge
-from koop_service.serving.trajectories import Posterior
+from koop_service.serving.trajectories.trajectory import Posterior
 
 _REHEARSED = 64 * 64 * 64
 """Values of the largest batch that is rehearsed: 64 pictures."""

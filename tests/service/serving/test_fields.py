@@ -24,17 +24,17 @@ from koop_service.encoding.architecture import Architecture
 from koop_service.encoding.autoencoder import initialised
 from koop_service.encoding.catalogue import Catalogue, ModelEntry
 from koop_service.encoding.weights import ModelCard, save_weights
-from koop_service.serving import queries
+from koop_service.serving.admission.intake import Arrival
+from koop_service.serving.answering import queries
 from koop_service.serving.config import EstimatorChoices
 from koop_service.serving.durability.recovery import Recovery
-from koop_service.serving.intake import Arrival
 from koop_service.serving.measurements import Measurements
-from koop_service.serving.metrics import Metrics
-from koop_service.serving.refusals import Refusals
-from koop_service.serving.registry import Registry
+from koop_service.serving.monitoring.metrics import Metrics
 from koop_service.serving.rehearsal import rehearse
 from koop_service.serving.steering.aims import aim_of
-from koop_service.serving.trajectories import Trajectory
+from koop_service.serving.trajectories.refusals import Refusals
+from koop_service.serving.trajectories.registry import Registry
+from koop_service.serving.trajectories.trajectory import Trajectory
 
 SHAPE, SMALL = (4, 16, 32), Architecture((8, 8), overlap=2)
 CARD = ModelCard(

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 from koop_protocol import Control, Frame, ReplayQuery, ReplayReply
-from koop_service.serving.trajectories import Trajectory
+from koop_service.serving.trajectories.trajectory import Trajectory
 
 ANSWERS = 16 << 20
 """Of all answers that logs are asked for at once [bytes]."""

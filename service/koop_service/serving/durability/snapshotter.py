@@ -14,9 +14,9 @@ from typing import Any
 from koop_protocol import Durable
 from koop_service.serving.durability.archive import Archive
 from koop_service.serving.durability.keeper import Keeper, Snapshot
-from koop_service.serving.records import snapshot_of
-from koop_service.serving.registry import Registry
-from koop_service.serving.trajectories import Trajectory
+from koop_service.serving.trajectories.records import snapshot_of
+from koop_service.serving.trajectories.registry import Registry
+from koop_service.serving.trajectories.trajectory import Trajectory
 
 _LEAST, _MOST, _PART = 0.0005, 0.002, 0.07
 """Time for copies between two batches [s]: this part of what has passed since the last ones, so

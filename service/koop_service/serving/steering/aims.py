@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from koop_protocol import ErrorCode, LqrQuery, ProtocolError
-from koop_service.serving.trajectories import Trajectory, check_values
+from koop_service.serving.trajectories.trajectory import Trajectory, check_values
 
 Array = NDArray[np.float64]
 

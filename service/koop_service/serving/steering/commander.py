@@ -7,12 +7,12 @@ import time
 from collections.abc import Callable, Iterable, Mapping
 
 from koop_protocol import Command, LqrCancel, LqrEnd, LqrReply, LqrTask, command_key, encode
-from koop_service.serving.intake import Presence
-from koop_service.serving.logs import Brake
-from koop_service.serving.metrics import Metrics
-from koop_service.serving.registry import Registry
+from koop_service.serving.admission.intake import Presence
+from koop_service.serving.monitoring.logs import Brake
+from koop_service.serving.monitoring.metrics import Metrics
 from koop_service.serving.steering.tasks import Tasks
-from koop_service.serving.trajectories import Trajectory
+from koop_service.serving.trajectories.registry import Registry
+from koop_service.serving.trajectories.trajectory import Trajectory
 
 log = logging.getLogger("koop.tasks")
 

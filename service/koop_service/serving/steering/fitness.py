@@ -15,7 +15,7 @@ from koop_service.estimation.innovation import RECENT
 from koop_service.estimation.settings import EstimatorSettings
 from koop_service.prediction.model import LinearModel
 from koop_service.serving.steering.aims import Aim
-from koop_service.serving.trajectories import Posterior
+from koop_service.serving.trajectories.trajectory import Posterior
 
 Array = NDArray[np.float64]
 

@@ -24,7 +24,7 @@ from koop_service.prediction.model import LinearModel
 from koop_service.serving.steering.aims import MAX_COMMANDED
 from koop_service.serving.steering.courses import Course
 from koop_service.serving.steering.outset import set_out
-from koop_service.serving.trajectories import Trajectory
+from koop_service.serving.trajectories.trajectory import Trajectory
 
 FAILED = "failed"
 """Status of a command without a plan of its own: it carries the rest of the last one."""

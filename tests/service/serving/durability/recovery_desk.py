@@ -18,9 +18,9 @@ from koop_service.serving.config import EstimatorChoices
 from koop_service.serving.durability.news import LogAnswer, LogPresence, LogQuestion
 from koop_service.serving.durability.recovery import Recovery
 from koop_service.serving.measurements import Measurements
-from koop_service.serving.metrics import Metrics
-from koop_service.serving.refusals import Refusals
-from koop_service.serving.trajectories import Trajectory
+from koop_service.serving.monitoring.metrics import Metrics
+from koop_service.serving.trajectories.refusals import Refusals
+from koop_service.serving.trajectories.trajectory import Trajectory
 
 NAME, EPOCH, OTHER = "cart/0", "00000000000000aa", "00000000000000bb"
 Messages = list[Frame | Control]

@@ -5,8 +5,8 @@ from __future__ import annotations
 import hypothesis.strategies as st
 from hypothesis import given
 
+from koop_service.serving.admission.intake import Arrival
 from koop_service.serving.durability.holding import Holding
-from koop_service.serving.intake import Arrival
 
 LIMIT, EACH = 1000, 64
 

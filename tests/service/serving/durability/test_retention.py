@@ -14,7 +14,7 @@ from koop_service.serving.durability.keeper import Keeper, Snapshot
 from koop_service.serving.durability.lmdb_store import LmdbStore
 from koop_service.serving.durability.retention import Retention
 from koop_service.serving.durability.store import EVERY_SHARD, Claim, FencedError
-from koop_service.serving.metrics import Metrics
+from koop_service.serving.monitoring.metrics import Metrics
 
 from .store_contract import name_of
 

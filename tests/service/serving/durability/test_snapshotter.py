@@ -20,9 +20,9 @@ from koop_service.serving.durability.lmdb_store import LmdbStore
 from koop_service.serving.durability.sealing import unseal
 from koop_service.serving.durability.snapshotter import Snapshotter
 from koop_service.serving.durability.store import EVERY_SHARD
-from koop_service.serving.metrics import Metrics
-from koop_service.serving.refusals import Refusals
-from koop_service.serving.registry import Registry
+from koop_service.serving.monitoring.metrics import Metrics
+from koop_service.serving.trajectories.refusals import Refusals
+from koop_service.serving.trajectories.registry import Registry
 
 from .test_keeper import Fickle
 

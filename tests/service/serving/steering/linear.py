@@ -14,11 +14,11 @@ from koop_service.encoding.catalogue import Catalogue, ModelEntry
 from koop_service.encoding.weights import EstimatorDefaults, ModelCard, save_weights
 from koop_service.serving.config import EstimatorChoices
 from koop_service.serving.durability.sealing import seal
-from koop_service.serving.metrics import Metrics
-from koop_service.serving.records import snapshot_of
-from koop_service.serving.refusals import Refusals
-from koop_service.serving.registry import Registry
-from koop_service.serving.trajectories import Trajectory
+from koop_service.serving.monitoring.metrics import Metrics
+from koop_service.serving.trajectories.records import snapshot_of
+from koop_service.serving.trajectories.refusals import Refusals
+from koop_service.serving.trajectories.registry import Registry
+from koop_service.serving.trajectories.trajectory import Trajectory
 
 N = 8
 EPOCH = "0" * 16

@@ -9,7 +9,7 @@ import pytest
 
 from koop_protocol import ErrorCode, LqrQuery, ProtocolError
 from koop_service.serving.steering.aims import aim_of
-from koop_service.serving.trajectories import Trajectory
+from koop_service.serving.trajectories.trajectory import Trajectory
 
 from .linear import N, Plant, registry_of
 

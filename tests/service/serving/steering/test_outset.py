@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from koop_protocol import ErrorCode, Limits, LqrQuery, LqrReply, ProtocolError, decode, encode
-from koop_service.serving.queries import control
+from koop_service.serving.answering.queries import control
 
 from .linear import N, Plant, registry_of
 

@@ -1,0 +1,1 @@
+"""How the service is: health, metrics, logs, memory, and a watchdog."""
