@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from koop_service.control import solve
@@ -234,6 +234,7 @@ def test_rate_bounds_hold(seed, horizon, p, radius, rate):
 
 
 @settings(deadline=None, max_examples=80)
+@example(722, 2, 1, 2, 25, 0.25, (1.3, 1e-2))  # takes the finer accuracy
 @given(
     SEEDS,
     st.integers(1, 5),
