@@ -22,8 +22,7 @@ from hypothesis import given, settings
 from koop_clients.replay.file import CONTROL, FRAME, LogFile
 from koop_protocol import MAX_BATCH, Durable, ReplayQuery
 
-A, B, C = "00000000000000aa", "00000000000000bb", "00000000000000cc"
-LARGE = 1 << 30
+from .filled import LARGE, A, B, C, fill, read_all
 
 
 @pytest.fixture
@@ -50,30 +49,6 @@ def full_disk() -> Iterator[None]:
         yield
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
-
-
-def fill(file: LogFile, name: str, epoch: str, count: int, size: int = 10) -> list[bytes]:
-    """Frames and controls 0 ... count-1, each with bytes of its own."""
-    messages = []
-    for seq in range(count):
-        for kind in (FRAME, CONTROL):
-            data = f"{name} {epoch} {seq} {kind}".encode().ljust(size)
-            file.append(name, epoch, seq, kind, data)
-            messages.append(data)
-    return messages
-
-
-def read_all(file: LogFile, name: str, query: ReplayQuery | None = None) -> list[bytes]:
-    """Batch by batch, as the service does."""
-    query = query or ReplayQuery()
-    reply = file.read(name, query)
-    messages = list(reply.messages)
-    while not reply.end:
-        before = reply.position
-        reply = file.read(name, replace(query, after=reply.position))
-        assert reply.position > before
-        messages += reply.messages
-    return messages
 
 
 def test_what_was_put_comes_back_in_order_and_by_trajectory(file: LogFile) -> None:
@@ -226,92 +201,6 @@ def test_the_tail_is_the_newest_frame(file: LogFile) -> None:
     assert file.tail("a") == tail
 
 
-def test_two_processes_never_share_it(tmp_path: Path) -> None:
-    with (
-        closing(LogFile(tmp_path / "log", LARGE)),
-        pytest.raises(ValueError, match="another process is using the log"),
-    ):
-        LogFile(tmp_path / "log", LARGE)
-    LogFile(tmp_path / "log", LARGE).close()
-
-
-def test_a_file_that_is_no_log_any_more_is_set_aside(
-    tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
-    (tmp_path / "log").write_bytes(b"rubbish" * 1000)
-    with caplog.at_level(logging.WARNING), closing(LogFile(tmp_path / "log", LARGE)) as file:
-        fill(file, "a", A, 1)
-        assert len(read_all(file, "a")) == 2
-    assert "is damaged" in caplog.text
-    (aside,) = tmp_path.glob("log.*.unfit")
-    assert aside.read_bytes() == b"rubbish" * 1000
-
-
-FORMER = """
-CREATE TABLE trajectories (
-    id INTEGER PRIMARY KEY, name TEXT NOT NULL UNIQUE, dropped INTEGER NOT NULL DEFAULT 0
-);
-CREATE TABLE messages (
-    position INTEGER PRIMARY KEY, trajectory INTEGER NOT NULL,
-    epoch TEXT NOT NULL, seq INTEGER NOT NULL, kind INTEGER NOT NULL, data BLOB NOT NULL
-);
-CREATE INDEX by_trajectory ON messages (trajectory, position);
-INSERT INTO trajectories VALUES (1, 'a', 3), (2, 'b', 0);
-PRAGMA user_version = 1;
-"""
-
-
-def test_a_file_of_the_former_version_goes_on(tmp_path: Path) -> None:
-    messages = [f"{number}".encode() for number in range(200)]
-    with closing(sqlite3.connect(tmp_path / "log")) as connection:
-        connection.executescript(FORMER)
-        rows = [(5 + k, 1 + k % 2, A, k, FRAME, data) for k, data in enumerate(messages)]
-        connection.executemany("INSERT INTO messages VALUES (?, ?, ?, ?, ?, ?)", rows)
-        connection.commit()
-    for _ in range(2):
-        with closing(LogFile(tmp_path / "log", LARGE)) as file:
-            assert (read_all(file, "a"), read_all(file, "b")) == (messages[::2], messages[1::2])
-            assert file.read("a", ReplayQuery()).dropped == 3
-            file.append("a", A, 200 + len(messages), FRAME, b"more")
-            messages += [b"more", b"of b"]
-            file.append("b", A, 200 + len(messages), FRAME, b"of b")
-    with closing(sqlite3.connect(tmp_path / "log")) as connection:
-        assert connection.execute("PRAGMA user_version").fetchone() == (2,)
-        assert not connection.execute(
-            "SELECT * FROM sqlite_master WHERE name GLOB 'by_*'"
-        ).fetchall()
-
-
-def test_a_file_that_is_damaged_within_is_set_aside(
-    tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
-    with closing(LogFile(tmp_path / "log", LARGE)) as file:
-        fill(file, "a", A, 300, 100)
-    with (tmp_path / "log").open("r+b") as raw:
-        raw.seek(6 * 4096)
-        raw.write(b"rubbish!" * 512)
-    with caplog.at_level(logging.WARNING), closing(LogFile(tmp_path / "log", LARGE)) as file:
-        assert read_all(file, "a") == []
-        assert read_all(file, "b") == []
-        file.append("a", A, 0, FRAME, b"goes on")
-        assert read_all(file, "a") == [b"goes on"]
-    assert "is damaged" in caplog.text
-    assert len(list(tmp_path.glob("log.*.unfit"))) == 1
-
-
-def test_a_file_with_a_row_that_is_no_message_is_set_aside(
-    tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
-    with closing(LogFile(tmp_path / "log", LARGE)) as file:
-        fill(file, "a", A, 3)
-    with closing(sqlite3.connect(tmp_path / "log")) as connection:
-        connection.execute("UPDATE messages SET seq = 'one' WHERE seq = 1")
-        connection.commit()
-    with caplog.at_level(logging.WARNING), closing(LogFile(tmp_path / "log", LARGE)) as file:
-        assert file.bytes == 0
-    assert "is damaged (a row is no message" in caplog.text
-
-
 def test_what_a_full_disk_does_not_take_changes_nothing(tmp_path: Path) -> None:
     with closing(LogFile(tmp_path / "log", 10_000)) as file:
         messages = fill(file, "a", A, 40, 100)
@@ -386,21 +275,6 @@ def test_much_is_forgotten_in_parts_between_which_the_log_can_be_used(tmp_path: 
     with closing(LogFile(tmp_path / "log", LARGE)) as file:
         assert [read_all(file, name) for name in ("a", "b")] == [kept[1400:], kept[1200:]]
         assert read_all(file, "c") == [b"meanwhile"] * len(held)
-
-
-def test_another_version_is_left_alone(tmp_path: Path) -> None:
-    with closing(sqlite3.connect(tmp_path / "log")) as connection:
-        connection.execute("PRAGMA user_version = 9")
-    with pytest.raises(ValueError, match="is of version 9; this koop knows version 2"):
-        LogFile(tmp_path / "log", LARGE)
-
-
-def test_a_place_that_cannot_be_written_is_explained(tmp_path: Path) -> None:
-    (tmp_path / "log").mkdir()
-    with pytest.raises(OSError, match=r"the log .* cannot be used"):
-        LogFile(tmp_path / "log", LARGE)
-    with pytest.raises(ValueError, match="max_bytes is 0"):
-        LogFile(tmp_path / "other", 0)
 
 
 def test_tidying_keeps_everything_and_the_write_ahead_log_short(tmp_path: Path) -> None:
