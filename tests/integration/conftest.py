@@ -23,9 +23,10 @@ def koop(tmp_path: Path, model: Path) -> Iterator[Loop]:
 
 @pytest.fixture
 def cart(koop: Loop) -> Source:
-    """A trajectory past its warm-up."""
+    """A trajectory past its warm-up, for whoever asks: no other session can overtake its frames."""
     source = Source(koop.session, "cart/0")
     source.stream(40)
+    assert koop.state("cart/0").next_seq == 40
     return source
 
 
