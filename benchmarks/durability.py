@@ -29,7 +29,7 @@ from typing import Any
 
 import numpy as np
 from koop_serve import Service, service
-from load import RENDERER, pictures, write_weights
+from load import RENDERER, models, pictures, write_weights
 
 from koop_clients.connection import flush, open_session
 from koop_clients.replay.log import SourceLog
@@ -240,10 +240,6 @@ def same(found: dict[str, Any], expected: dict[str, Any]) -> bool:
     except AssertionError:
         return False
     return True
-
-
-def models(weights: Path) -> tuple[str, str]:
-    return "--models", f"benchmark/*={weights}"
 
 
 def free_port() -> int:

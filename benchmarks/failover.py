@@ -15,15 +15,10 @@ import argparse
 import json
 import multiprocessing
 import os
-import re
 import signal
-import subprocess
-import sys
 import tempfile
 import time
 from collections import Counter
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass, field
 from multiprocessing.synchronize import Event
 from pathlib import Path
@@ -31,6 +26,8 @@ from pathlib import Path
 import numpy as np
 import psutil
 import zenoh
+from koop_serve import Team, team
+from load import RENDERER, models, write_weights
 
 from koop_clients.connection import open_session
 from koop_clients.replay.log import SourceLog
@@ -63,63 +60,20 @@ def parse_options() -> argparse.Namespace:
     return parser.parse_args()
 
 
-def write_weights(folder: Path) -> Path:
-    """Weights of the paper's size; what they have learned does not change how fast they are."""
-    from koop_service.encoding.autoencoder import initialised
-    from koop_service.encoding.weights import ModelCard, save_weights
-
-    path = folder / "benchmark.safetensors"
-    save_weights(path, initialised(8, seed=0), ModelCard("benchmark", "benchmark", 0.05))
-    return path
-
-
-@dataclass
-class Team:
-    """The workers."""
-
-    endpoint: str
-    log: Path
-
-    def process_of(self, worker: int) -> int:
-        pattern = rf"worker {worker}/{WORKERS} serves .*\(process (\d+)"
-        return int(re.findall(pattern, self.log.read_text())[-1])
-
-    def await_spares(self, count: int) -> None:
-        """Until so many have loaded since the start."""
-        end = time.monotonic() + PATIENCE
-        while self.log.read_text().count("a spare is ready") < count:
-            if time.monotonic() > end:
-                raise RuntimeError(f"no spare is ready after {PATIENCE:g} s")
-            time.sleep(0.1)
-
-
-@contextmanager
-def workers(options: argparse.Namespace, folder: Path, weights: Path) -> Iterator[Team]:
-    command = [
-        *(sys.executable, "-m", "koop_service.cli", "--workers", str(WORKERS)),
-        *("--spares", str(options.spares), "--listen", "tcp/127.0.0.1:0"),
-        *("--models", f"benchmark/*={weights}", "--state-folder", str(folder / "state")),
-        *(("--ray",) if options.engine == "ray" else ()),
-    ]
-    log = folder / "log"
-    with log.open("w") as errors:
-        process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=errors, text=True)
-    try:
-        assert process.stdout is not None
-        line = next((line for line in process.stdout if "ready on" in line), "")
-        if not line:
-            raise RuntimeError(f"koop-serve did not start: {log.read_text()}")
-        yield Team(line.split()[-1], log)
-    finally:
-        process.terminate()
-        process.wait(30)
+def await_spares(workers: Team, count: int) -> None:
+    """Until so many have loaded since the start."""
+    end = time.monotonic() + PATIENCE
+    while workers.spares() < count:
+        if time.monotonic() > end:
+            raise RuntimeError(f"no spare is ready after {PATIENCE:g} s")
+        time.sleep(0.1)
 
 
 def stream(endpoint: str, names: list[str], rate: float, log_file: Path, stop: Event, sent) -> None:
     """Put a frame of every trajectory at the rate, until told to stop; then serve the log on."""
     images = np.random.default_rng(0).integers(0, 256, (64, 64, 64), np.uint8)
     with open_session([endpoint]) as session, SourceLog(log_file) as log:
-        sources = [FrameSource(session, name, 0, "benchmark", log) for name in names]
+        sources = [FrameSource(session, name, 0, RENDERER, log) for name in names]
         due = time.monotonic()
         while not stop.is_set():
             for i, source in enumerate(sources):
@@ -178,21 +132,23 @@ def measured(options: argparse.Namespace, folder: Path) -> dict[str, float | int
     spawn = multiprocessing.get_context("spawn")
     stop, sent = spawn.Event(), spawn.Value("q", 0)
     answered, current = [], []
+    told = [*models(write_weights(folder)), "--spares", str(options.spares)]
+    told += ["--ray"] if options.engine == "ray" else []
     with (
-        workers(options, folder, write_weights(folder)) as team,
-        open_session([team.endpoint]) as session,
+        team(folder / "team", WORKERS, *told) as workers,
+        open_session([workers.endpoint]) as session,
     ):
-        arguments = (team.endpoint, names, options.rate, folder / "source.log", stop, sent)
-        source = spawn.Process(target=stream, args=arguments)
+        load = (workers.endpoint, names, options.rate, folder / "source.log", stop, sent)
+        source = spawn.Process(target=stream, args=load)
         source.start()
         witness = Witness(session, names)
         witness.until(40)
         for number in range(options.kills):
             if options.spares:
-                team.await_spares(options.spares + number)
+                await_spares(workers, options.spares + number)
             time.sleep(PAUSE)
             before, killed = sent.value, time.monotonic()
-            os.kill(team.process_of(number % WORKERS), signal.SIGKILL)
+            os.kill(workers.workers()[number % WORKERS].process, signal.SIGKILL)
             answered.append(witness.until(0) - killed)
             current.append(witness.until(before - 1) - killed)
         stop.set()

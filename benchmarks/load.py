@@ -29,9 +29,14 @@ def write_weights(folder: Path) -> Path:
     return path
 
 
+def models(weights: Path) -> tuple[str, str]:
+    """Arguments of a koop-serve with these weights."""
+    return "--models", f"benchmark/*={weights}"
+
+
 def arguments(weights: Path) -> tuple[str, ...]:
-    """Of a koop-serve with these weights that tells of errors alone."""
-    return ("--models", f"benchmark/*={weights}", "--log-level", "error")
+    """Of one that tells of errors alone."""
+    return (*models(weights), "--log-level", "error")
 
 
 def pictures(count: int) -> np.ndarray:

@@ -23,7 +23,7 @@ from pathlib import Path
 import numpy as np
 import zenoh
 from koop_serve import Service, service
-from load import PICTURES, Templates, growth, pictures, write_weights
+from load import PICTURES, Templates, growth, models, pictures, write_weights
 
 from koop_clients.connection import open_session
 from koop_protocol import PredictQuery, decode, encode, predict_key, state_key
@@ -156,7 +156,7 @@ class Load:
 def under_load(options: argparse.Namespace, folder: Path, weights: Path) -> dict[str, float]:
     """One trajectory first: what does not grow with their number is in place then."""
     names = [f"benchmark/{i}" for i in range(options.trajectories)]
-    arguments = ["--models", f"benchmark/*={weights}", "--threads", str(options.threads)]
+    arguments = [*models(weights), "--threads", str(options.threads)]
     arguments += ["--batch", str(options.batch)] if options.batch else []
     with service(folder / "state", *arguments) as served:
         alone = run(served, names[:1], 0, WARM_SECONDS)

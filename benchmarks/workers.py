@@ -14,18 +14,16 @@ import argparse
 import json
 import multiprocessing
 import os
-import re
-import subprocess
-import sys
 import tempfile
 import time
-import urllib.request
 from dataclasses import dataclass
 from multiprocessing.synchronize import Event
 from pathlib import Path
 
 import numpy as np
 import psutil
+from koop_serve import Team, metric, team
+from load import RENDERER, models, write_weights
 
 from koop_clients.connection import open_session
 from koop_clients.sources import FrameSource
@@ -35,7 +33,10 @@ def main() -> None:
     options = parse_options()
     with tempfile.TemporaryDirectory() as folder:
         weights = write_weights(Path(folder))
-        runs = [measured(options, Path(folder), weights, count) for count in (1, 2, 1)]
+        runs = [
+            measured(options, Path(folder) / f"{number}", weights, count)
+            for number, count in enumerate((1, 2, 1))
+        ]
     one = np.mean([[r.frames_per_s, r.worker_us, r.hub_us] for r in (runs[0], runs[2])], axis=0)
     two = runs[1]
     figures = {
@@ -63,16 +64,6 @@ def parse_options() -> argparse.Namespace:
     return parser.parse_args()
 
 
-def write_weights(folder: Path) -> Path:
-    """Weights of the paper's size; what they have learned does not change how fast they are."""
-    from koop_service.encoding.autoencoder import initialised
-    from koop_service.encoding.weights import ModelCard, save_weights
-
-    path = folder / "benchmark.safetensors"
-    save_weights(path, initialised(8, seed=0), ModelCard("benchmark", "benchmark", 0.05))
-    return path
-
-
 @dataclass
 class Run:
     """Frames a second, and the processor time of each [us]: all workers together, and the hub."""
@@ -83,53 +74,35 @@ class Run:
 
 
 def measured(options: argparse.Namespace, folder: Path, weights: Path, count: int) -> Run:
-    log = folder / f"log-{time.monotonic_ns()}"
-    command = [
-        *(sys.executable, "-m", "koop_service.cli", "--workers", str(count), "--spares", "0"),
-        *("--listen", "tcp/127.0.0.1:0", "--models", f"benchmark/*={weights}"),
-        *("--state-folder", str(log) + "-state", "--metrics-port", "0"),
-    ]
-    with log.open("w") as errors:
-        process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=errors, text=True)
-    try:
-        assert process.stdout is not None
-        line = next((line for line in process.stdout if "ready on" in line), "")
-        if not line:
-            raise RuntimeError(f"koop-serve did not start: {log.read_text()}")
-        return under_load(options, line.split()[-1], log, psutil.Process(process.pid))
-    finally:
-        process.terminate()
-        process.wait(30)
+    with team(folder, count, *models(weights), "--spares", "0") as workers:
+        return under_load(options, workers)
 
 
-def under_load(
-    options: argparse.Namespace, endpoint: str, log: Path, supervisor: psutil.Process
-) -> Run:
-    told = re.findall(r"\(process (\d+), metrics on port (\d+)\)", log.read_text())
-    workers = [psutil.Process(int(pid)) for pid, _ in told]
-    ports = [int(port) for _, port in told]
+def under_load(options: argparse.Namespace, workers: Team) -> Run:
+    hub = psutil.Process(workers.supervisor.pid)
+    serving = workers.workers().values()
+    processes = [psutil.Process(worker.process) for worker in serving]
+    ports = [worker.metrics_port for worker in serving]
     spawn = multiprocessing.get_context("spawn")
     stop = spawn.Event()
-    source = spawn.Process(target=publish, args=(endpoint, options.trajectories, stop))
+    source = spawn.Process(target=publish, args=(workers.endpoint, options.trajectories, stop))
     source.start()
     while frames(ports) < 10 * options.trajectories:
         time.sleep(0.1)
-    before = (time.monotonic(), frames(ports), busy(workers), busy([supervisor]))
+    before = (time.monotonic(), frames(ports), busy(processes), busy([hub]))
     time.sleep(options.seconds)
-    after = (time.monotonic(), frames(ports), busy(workers), busy([supervisor]))
+    after = (time.monotonic(), frames(ports), busy(processes), busy([hub]))
     stop.set()
     source.join()
-    seconds, count, worker, hub = (b - a for a, b in zip(before, after, strict=True))
-    return Run(count / seconds, 1e6 * worker / count, 1e6 * hub / count)
+    seconds, count, worker_time, hub_time = (b - a for a, b in zip(before, after, strict=True))
+    return Run(count / seconds, 1e6 * worker_time / count, 1e6 * hub_time / count)
 
 
 def publish(endpoint: str, trajectories: int, stop: Event) -> None:
     """Put a frame of each in turn, as fast as they are taken."""
     images = np.random.default_rng(0).integers(0, 256, (64, 64, 64), np.uint8)
     with open_session([endpoint]) as session:
-        sources = [
-            FrameSource(session, f"benchmark/{i}", 0, "benchmark") for i in range(trajectories)
-        ]
+        sources = [FrameSource(session, f"benchmark/{i}", 0, RENDERER) for i in range(trajectories)]
         number = 0
         while not stop.is_set():
             for i, source in enumerate(sources):
@@ -144,12 +117,7 @@ def busy(processes: list[psutil.Process]) -> float:
 
 def frames(ports: list[int]) -> float:
     """Frames folded so far, by all workers."""
-    total = 0.0
-    for port in ports:
-        url = f"http://127.0.0.1:{port}/metrics"
-        text = urllib.request.urlopen(url, timeout=10).read().decode()
-        total += float(re.findall(r"^koop_frames_total (\S+)$", text, re.MULTILINE)[0])
-    return total
+    return sum(metric(port, "koop_frames_total") for port in ports)
 
 
 if __name__ == "__main__":

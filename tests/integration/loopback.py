@@ -254,14 +254,6 @@ def wait_until(condition: Callable[[], bool], what: str = "the condition") -> No
         time.sleep(0.01)
 
 
-def slowness() -> float:
-    """How many times longer than alone a process takes now: what others leave of the machine."""
-    wall, cpu = time.monotonic(), time.process_time()
-    while time.process_time() - cpu < 0.1:
-        pass
-    return (time.monotonic() - wall) / 0.1
-
-
 def burst(endpoint: str, first: int, trajectories: int, frames: int) -> None:
     """Everything packed beforehand, then put as fast as the service takes it."""
     with client(endpoint) as session:

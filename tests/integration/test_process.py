@@ -7,14 +7,13 @@ import re
 import signal
 import subprocess
 import sys
-import time
 import urllib.request
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
-from integration.loopback import DEADLINE, Source, client, slowness, wait_until
+from integration.loopback import DEADLINE, Source, client, wait_until
 
 from koop_protocol import PredictReply, StateReply, decode
 
@@ -51,13 +50,10 @@ def options(tmp_path: Path, model: Path) -> list[object]:
 
 
 def stop(process: subprocess.Popen[str], number: int) -> str:
-    """Signal it; its whole log. It has two seconds, as this machine's present load counts them."""
-    before, asked = slowness(), time.monotonic()
+    """Signal it; its whole log."""
     process.send_signal(number)
     _, logged = process.communicate(timeout=DEADLINE)
-    took = time.monotonic() - asked
     assert process.returncode == 0, logged
-    assert took < 2.0 * max(before, slowness()), f"{took:.1f} s to stop"
     return logged
 
 
