@@ -190,8 +190,8 @@ def await_quiet(served: Service) -> None:
 def compared(folder: Path, weights: Path, count: int, frames: int) -> dict[str, float]:
     """The stored states against those of an undisturbed fold."""
     from koop_service.serving.durability.lmdb_store import LmdbStore
-    from koop_service.serving.durability.sealing import unseal
-    from koop_service.serving.durability.store import EVERY_SHARD
+    from koop_service.serving.sharding.ownership import EVERY_SHARD
+    from koop_service.serving.trajectories.sealing import unseal
 
     with closing(LmdbStore(folder / "state")) as store:
         records = {name: unseal(record) for name, record in store.load(EVERY_SHARD).items()}
@@ -211,7 +211,7 @@ def undisturbed(
     """Records of all trajectories after the same frames and controls, one after the other."""
     from koop_service.encoding.catalogue import Catalogue, ModelEntry
     from koop_service.serving.config import EstimatorChoices
-    from koop_service.serving.monitoring.metrics import Metrics
+    from koop_service.serving.instruments.metrics import Metrics
     from koop_service.serving.trajectories.records import snapshot_of
     from koop_service.serving.trajectories.refusals import Refusals
     from koop_service.serving.trajectories.registry import Registry

@@ -10,8 +10,8 @@ import pytest
 import yaml
 
 from koop_service.serving.config import ServiceConfig
-from koop_service.serving.durability.store import EVERY_SHARD
 from koop_service.serving.options import read_options
+from koop_service.serving.sharding.ownership import EVERY_SHARD
 
 ROOT = Path(__file__).resolve().parents[1]
 DOCUMENTS: list[dict[str, Any]] = list(

@@ -24,6 +24,7 @@ from koop_service.serving.answering.replies import Replies
 from koop_service.serving.answering.shedding import Shedding
 from koop_service.serving.config import ServiceConfig
 from koop_service.serving.durability.archive import Archive
+from koop_service.serving.durability.eviction import Eviction
 from koop_service.serving.durability.keeper import Keeper
 from koop_service.serving.durability.log_reader import LogReader
 from koop_service.serving.durability.opening import claim_and_load, open_store
@@ -31,22 +32,21 @@ from koop_service.serving.durability.recovery import Recovery
 from koop_service.serving.durability.retention import Retention
 from koop_service.serving.durability.snapshotter import Snapshotter
 from koop_service.serving.endpoint import Endpoint, put_command, put_durable, put_notice
+from koop_service.serving.instruments.metrics import Metrics
 from koop_service.serving.measurements import Measurements
 from koop_service.serving.monitoring.collector import settle, sparing
 from koop_service.serving.monitoring.gauges import serve_metrics, watch_durability, watch_load
 from koop_service.serving.monitoring.memory import Memory
-from koop_service.serving.monitoring.metrics import Metrics
 from koop_service.serving.monitoring.vitals import Vitals, worker_name
 from koop_service.serving.monitoring.watchdog import Watchdog, give_up
 from koop_service.serving.pipeline import Pipeline
-from koop_service.serving.placement.ownership import Ownership
 from koop_service.serving.rehearsal import rehearse
 from koop_service.serving.session import locators
+from koop_service.serving.sharding.ownership import Ownership
 from koop_service.serving.steering.commander import Commander
 from koop_service.serving.steering.tasks import Tasks
 from koop_service.serving.trajectories.endings import Endings
 from koop_service.serving.trajectories.equipment import settings_for
-from koop_service.serving.trajectories.eviction import Eviction
 from koop_service.serving.trajectories.refusals import Refusals
 from koop_service.serving.trajectories.registry import Registry
 

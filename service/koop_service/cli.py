@@ -18,13 +18,13 @@ import zenoh
 
 from koop_service.assembly import Service, equip, running
 from koop_service.serving.config import ServiceConfig
-from koop_service.serving.monitoring import logs
-from koop_service.serving.monitoring.process import limit_arenas
+from koop_service.serving.instruments import logs
+from koop_service.serving.instruments.process import limit_arenas
 from koop_service.serving.options import read_options
 from koop_service.serving.placement.member import FENCED, Orders, report
-from koop_service.serving.placement.settings import PlacementSettings
 from koop_service.serving.placement.supervisor import supervise
 from koop_service.serving.session import UnreachableError, open_session
+from koop_service.serving.sharding.settings import PlacementSettings
 
 log = logging.getLogger("koop.service")
 

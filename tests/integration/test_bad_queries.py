@@ -159,7 +159,7 @@ def test_an_exception_of_ours_is_answered_and_logged(
         raise RuntimeError("a bug")
 
     with monkeypatch.context() as patch:
-        patch.setattr("koop_service.serving.answering.forecasts.rollout", fail)
+        patch.setattr("koop_service.serving.trajectories.forecasts.rollout", fail)
         reply = koop.predict("cart/0")
     assert isinstance(reply, ErrorReply)
     assert reply.code == "internal"

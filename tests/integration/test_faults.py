@@ -30,7 +30,7 @@ from integration.test_process import serving
 from koop_clients.queries import KoopClient
 from koop_protocol.lifecycle import NOT_DURABLE
 from koop_service.serving.durability.lmdb_store import LmdbStore
-from koop_service.serving.durability.store import EVERY_SHARD
+from koop_service.serving.sharding.ownership import EVERY_SHARD
 
 Process = subprocess.Popen[str]
 

@@ -22,8 +22,8 @@ from integration.undisturbed import undisturbed
 from koop_protocol import StateReply, decode, state_key
 from koop_service.serving.config import EstimatorChoices
 from koop_service.serving.durability.lmdb_store import LmdbStore
-from koop_service.serving.durability.sealing import unseal
-from koop_service.serving.durability.store import EVERY_SHARD
+from koop_service.serving.sharding.ownership import EVERY_SHARD
+from koop_service.serving.trajectories.sealing import unseal
 
 NAMES = ["cart/0", "cart/1"]
 

@@ -15,8 +15,8 @@ from koop_service.encoding.image_codec import ImageCodec
 from koop_service.encoding.weights import load_weights
 from koop_service.serving.config import EstimatorChoices
 from koop_service.serving.durability.lmdb_store import LmdbStore
-from koop_service.serving.durability.sealing import unseal
-from koop_service.serving.durability.store import EVERY_SHARD
+from koop_service.serving.sharding.ownership import EVERY_SHARD
+from koop_service.serving.trajectories.sealing import unseal
 
 
 def test_a_prediction_is_answered_by_selector_alone(koop: Loop, cart: Source) -> None:

@@ -18,8 +18,8 @@ from koop_protocol import ErrorReply, PredictReply, StateReply, shard_of
 from koop_service.assembly import Service, running
 from koop_service.serving.config import ComputeSettings, ModelRule, NetworkSettings, ServiceConfig
 from koop_service.serving.placement.hub import hub
-from koop_service.serving.placement.settings import PlacementSettings
 from koop_service.serving.session import open_session
+from koop_service.serving.sharding.settings import PlacementSettings
 
 COUNT = 3
 NAMES = [f"cart/{i}" for i in range(9)]

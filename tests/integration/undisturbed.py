@@ -10,11 +10,11 @@ from typing import Any
 from koop_protocol import Control, Frame, Limits, control_key, encode, frame_key
 from koop_service.encoding.catalogue import Catalogue, ModelEntry
 from koop_service.serving.admission.intake import Arrival
+from koop_service.serving.admission.news import LogQuestion
 from koop_service.serving.config import EstimatorChoices
-from koop_service.serving.durability.news import LogQuestion
 from koop_service.serving.durability.recovery import Recovery
+from koop_service.serving.instruments.metrics import Metrics
 from koop_service.serving.measurements import Measurements
-from koop_service.serving.monitoring.metrics import Metrics
 from koop_service.serving.trajectories.records import snapshot_of
 from koop_service.serving.trajectories.refusals import Refusals
 from koop_service.serving.trajectories.registry import Registry

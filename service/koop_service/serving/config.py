@@ -15,8 +15,8 @@ from typing import Annotated, Literal
 from tyro.conf import arg
 from tyro.constructors import PrimitiveConstructorSpec
 
-from koop_service.serving.monitoring.process import tells_memory
-from koop_service.serving.placement.settings import PlacementSettings
+from koop_service.serving.instruments.process import tells_memory
+from koop_service.serving.sharding.settings import PlacementSettings
 
 LOOPBACK = "tcp/127.0.0.1:7447"
 """Where a client looks if nobody says otherwise: Zenoh's own port, on this machine only."""

@@ -23,7 +23,8 @@ from koop_protocol import (
     owner_of,
     trajectory_of,
 )
-from koop_service.serving.admission.intake import Intake, Presence
+from koop_service.serving.admission.intake import Intake
+from koop_service.serving.admission.news import LogPresence, Presence
 from koop_service.serving.admission.pace import Pace
 from koop_service.serving.admission.strain import RETRY_AFTER
 from koop_service.serving.answering.questions import (
@@ -33,9 +34,8 @@ from koop_service.serving.answering.questions import (
     name_in,
 )
 from koop_service.serving.answering.shedding import Shedding
-from koop_service.serving.durability.news import LogPresence
-from koop_service.serving.monitoring.metrics import Metrics
-from koop_service.serving.placement.ownership import Ownership
+from koop_service.serving.instruments.metrics import Metrics
+from koop_service.serving.sharding.ownership import Ownership
 
 log = logging.getLogger("koop.endpoint")
 

@@ -31,7 +31,7 @@ def test_bad_options_are_explained(
     endpoint = () if "--listen" in options else ("--listen", "tcp/127.0.0.1:0")
     folder = ("--state-folder", str(tmp_path))
     monkeypatch.setattr("sys.argv", ["koop-serve", *folder, *endpoint, *options])
-    monkeypatch.setattr("koop_service.serving.monitoring.logs.configure", lambda *_: None)
+    monkeypatch.setattr("koop_service.serving.instruments.logs.configure", lambda *_: None)
     with pytest.raises(SystemExit) as end:
         cli.main()
     assert end.value.code not in (0, None)

@@ -19,7 +19,7 @@ from koop_service.serving.config import (
     NetworkSettings,
     ServiceConfig,
 )
-from koop_service.serving.placement.settings import PlacementSettings
+from koop_service.serving.sharding.settings import PlacementSettings
 from koop_service.serving.toml import dump_config, load_config
 
 words = st.text(st.characters(exclude_categories=["Cs"]), min_size=1, max_size=20)

@@ -16,10 +16,10 @@ from dataclasses import dataclass
 from typing import Generic, TypeVar
 
 from koop_protocol import ProtocolError
+from koop_service.serving.admission.news import LogNews, Presence
 from koop_service.serving.admission.turns import Arrival, Turns, lane_of
-from koop_service.serving.durability.news import LogNews
 
-__all__ = ["Arrival", "Intake", "Presence", "Waiting", "lane_of"]
+__all__ = ["Arrival", "Intake", "Waiting", "lane_of"]
 
 Q = TypeVar("Q")
 
@@ -30,14 +30,6 @@ class Waiting(Generic[Q]):
 
     query: Q
     ticket: int
-
-
-@dataclass(frozen=True, slots=True)
-class Presence:
-    """An owner of tasks came (`here`) or went."""
-
-    owner: str
-    here: bool
 
 
 class Intake(Generic[Q]):

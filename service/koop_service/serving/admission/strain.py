@@ -12,7 +12,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from koop_protocol import OVERLOADED, SHORT_OF_MEMORY, ErrorCode, ProtocolError
-from koop_service.serving.monitoring.metrics import Metrics
+from koop_service.serving.instruments.metrics import Metrics
 
 log = logging.getLogger("koop.overload")
 

@@ -23,8 +23,8 @@ from koop_protocol import (
 )
 from koop_service.prediction.model import LinearModel
 from koop_service.prediction.uncertainty import calibrated, rollout_std
-from koop_service.serving.answering.forecasts import finite, forecast
 from koop_service.serving.steering.outset import set_out
+from koop_service.serving.trajectories.forecasts import finite, forecast
 from koop_service.serving.trajectories.trajectory import Trajectory
 
 Array = NDArray[np.float64]

@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from koop_service.serving.durability.keeper import Snapshot
-from koop_service.serving.durability.sealing import seal, unseal
+from koop_service.serving.trajectories.sealing import seal, unseal
 
 
 class Archive:

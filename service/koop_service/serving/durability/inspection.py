@@ -16,7 +16,7 @@ from pathlib import Path
 
 import lmdb
 
-from koop_service.serving.durability.sealing import is_whole
+from koop_service.serving.trajectories.sealing import is_whole
 
 FORMAT_KEY = b"format"
 RECORDS, OWNERS, TIMES = b"records", b"owners", b"times"

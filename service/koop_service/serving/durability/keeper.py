@@ -15,10 +15,10 @@ from typing import Any
 
 from koop_protocol import Durable, durable_key, encode
 from koop_service.serving.durability.retention import Retention
-from koop_service.serving.durability.sealing import seal
 from koop_service.serving.durability.store import Claim, FencedError, SnapshotStore, StoreError
-from koop_service.serving.monitoring.logs import Brake
-from koop_service.serving.monitoring.metrics import Metrics
+from koop_service.serving.instruments.logs import Brake
+from koop_service.serving.instruments.metrics import Metrics
+from koop_service.serving.trajectories.sealing import seal
 
 log = logging.getLogger("koop.snapshots")
 

@@ -13,8 +13,8 @@ import zenoh
 from koop_protocol import ProtocolError, encode, replay_key
 from koop_protocol.codec import decode
 from koop_protocol.status import ErrorReply
+from koop_service.serving.admission.news import LogAnswer, LogQuestion
 from koop_service.serving.durability.catchup import ANSWERS
-from koop_service.serving.durability.news import LogAnswer, LogQuestion
 
 log = logging.getLogger("koop.replays")
 

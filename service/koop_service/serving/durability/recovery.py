@@ -23,11 +23,11 @@ from koop_protocol import (
     replay_key,
 )
 from koop_service.serving.admission.intake import Arrival
+from koop_service.serving.admission.news import LogAnswer, LogNews, LogPresence, LogQuestion
 from koop_service.serving.durability.catchup import CatchUp, Verdict, room_of
 from koop_service.serving.durability.holding import Holding
-from koop_service.serving.durability.news import LogAnswer, LogNews, LogPresence, LogQuestion
-from koop_service.serving.monitoring.logs import Brake
-from koop_service.serving.monitoring.metrics import Metrics
+from koop_service.serving.instruments.logs import Brake
+from koop_service.serving.instruments.metrics import Metrics
 from koop_service.serving.trajectories.registry import Registry
 from koop_service.serving.trajectories.trajectory import Trajectory
 

@@ -14,7 +14,7 @@ import time
 from collections.abc import Callable
 
 from koop_service.serving.durability.store import Claim, SnapshotStore
-from koop_service.serving.monitoring.metrics import Metrics
+from koop_service.serving.instruments.metrics import Metrics
 
 log = logging.getLogger("koop.snapshots")
 

@@ -17,10 +17,8 @@ from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass
 from typing import Protocol
 
-from koop_protocol import SHARDS, shard_of
-
-EVERY_SHARD = frozenset(f"{number:02x}" for number in range(SHARDS))
-"""All shards, as they stand in keys."""
+from koop_protocol import shard_of
+from koop_service.serving.sharding.ownership import listed
 
 
 @dataclass(frozen=True)
@@ -39,8 +37,8 @@ class Claim:
         found = frozenset(map(shard_of, names))
         if found - self.shards:
             raise ValueError(
-                f"{self.owner} writes to the shards {_listed(found - self.shards)}; expected only "
-                f"those that it has claimed, {_listed(self.shards)}"
+                f"{self.owner} writes to the shards {listed(found - self.shards)}; expected only "
+                f"those that it has claimed, {listed(self.shards)}"
             )
         return found
 
@@ -64,7 +62,7 @@ class FencedError(StoreError):
 
     def __str__(self) -> str:
         return (
-            f"{self.newer.owner} has claimed the shards {_listed(self.shards)} from "
+            f"{self.newer.owner} has claimed the shards {listed(self.shards)} from "
             f"{self.claim.owner} (claim {self.newer.epoch} after {self.claim.epoch}), which must "
             "not write them any more; stop one of the two"
         )
@@ -112,10 +110,3 @@ class SnapshotStore(Protocol):
     def close(self) -> None:
         """Let go of files and connections."""
         ...
-
-
-def _listed(shards: Collection[str]) -> str:
-    """At most eight of them, in order."""
-    names = sorted(shards)
-    more = f" and {len(names) - 8} more" if len(names) > 8 else ""
-    return ", ".join(names[:8]) + more

@@ -1,1 +1,1 @@
-"""How the service is: health, metrics, logs, memory, and a watchdog."""
+"""How the service is: health, gauges, memory, and a watchdog."""

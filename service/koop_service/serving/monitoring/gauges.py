@@ -5,22 +5,22 @@ from __future__ import annotations
 from collections.abc import Sequence
 from contextlib import ExitStack
 from functools import partial
+from typing import Any
 
 from koop_service.serving.admission.intake import Intake
 from koop_service.serving.admission.strain import Strain
-from koop_service.serving.answering.questions import Question
 from koop_service.serving.config import ServiceConfig
 from koop_service.serving.durability.keeper import Keeper
 from koop_service.serving.durability.recovery import Recovery
 from koop_service.serving.durability.snapshotter import Snapshotter
-from koop_service.serving.monitoring.metrics import Metrics
+from koop_service.serving.instruments.metrics import Metrics
 from koop_service.serving.steering.tasks import Tasks
 from koop_service.serving.trajectories.registry import Registry
 
 
 def watch_load(
     metrics: Metrics,
-    intake: Intake[Question],
+    intake: Intake[Any],
     registry: Registry,
     tasks: Tasks,
     strains: Sequence[Strain],

@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable
 
 from koop_service.serving.admission.strain import Strain
-from koop_service.serving.monitoring.process import own_bytes
+from koop_service.serving.instruments.process import own_bytes
 
 _EVERY = 0.5
 """Seconds between two looks."""

@@ -1,1 +1,1 @@
-"""Which shards a worker owns, and the engines that run several workers."""
+"""The engines that run several workers, and give each its shards."""

@@ -21,12 +21,12 @@ from dataclasses import replace
 from typing import Any
 
 from koop_service.serving.config import NetworkSettings, ServiceConfig
-from koop_service.serving.monitoring import logs
-from koop_service.serving.monitoring.process import limit_arenas
+from koop_service.serving.instruments import logs
+from koop_service.serving.instruments.process import limit_arenas
 from koop_service.serving.placement.hub import hub
 from koop_service.serving.placement.member import FENCED
-from koop_service.serving.placement.settings import PlacementSettings
 from koop_service.serving.placement.supervisor import Event, Supervisor, member_config
+from koop_service.serving.sharding.settings import PlacementSettings
 from koop_service.serving.toml import dump_config, parse_config
 
 log = logging.getLogger("koop.workers")

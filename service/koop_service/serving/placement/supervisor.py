@@ -21,10 +21,10 @@ from koop_service.encoding.catalogue import bundled_or_own
 from koop_service.serving.config import NetworkSettings, ServiceConfig
 from koop_service.serving.placement.hub import hub
 from koop_service.serving.placement.member import FENCED
-from koop_service.serving.placement.ownership import listed, share
 from koop_service.serving.placement.processes import Process
 from koop_service.serving.placement.roster import Roster
-from koop_service.serving.placement.settings import TOLD_LATER, PlacementSettings
+from koop_service.serving.sharding.ownership import listed, share
+from koop_service.serving.sharding.settings import TOLD_LATER, PlacementSettings
 from koop_service.serving.toml import dump_config
 
 log = logging.getLogger("koop.workers")

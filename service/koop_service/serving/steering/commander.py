@@ -7,9 +7,9 @@ import time
 from collections.abc import Callable, Iterable, Mapping
 
 from koop_protocol import Command, LqrCancel, LqrEnd, LqrReply, LqrTask, command_key, encode
-from koop_service.serving.admission.intake import Presence
-from koop_service.serving.monitoring.logs import Brake
-from koop_service.serving.monitoring.metrics import Metrics
+from koop_service.serving.admission.news import Presence
+from koop_service.serving.instruments.logs import Brake
+from koop_service.serving.instruments.metrics import Metrics
 from koop_service.serving.steering.tasks import Tasks
 from koop_service.serving.trajectories.registry import Registry
 from koop_service.serving.trajectories.trajectory import Trajectory

@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 from koop_protocol import LqrQuery, LqrReply
 from koop_service.control.certificate import Certificate
 from koop_service.prediction.model import LinearModel
-from koop_service.serving.answering.forecasts import forecast
 from koop_service.serving.steering.aims import MAX_PLANNED, Aim, aim_of
 from koop_service.serving.steering.courses import Course, Plan, Schedule
 from koop_service.serving.steering.fitness import Verdict, judge
+from koop_service.serving.trajectories.forecasts import forecast
 from koop_service.serving.trajectories.trajectory import Trajectory
 
 Array = NDArray[np.float64]

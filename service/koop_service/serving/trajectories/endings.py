@@ -6,7 +6,7 @@ import logging
 from collections.abc import Callable
 
 from koop_protocol import Ending, TrajectoryEnd, encode, state_key
-from koop_service.serving.monitoring.logs import Brake
+from koop_service.serving.instruments.logs import Brake
 
 log = logging.getLogger("koop.trajectories")
 

@@ -10,8 +10,8 @@ import logging
 from collections import OrderedDict
 
 from koop_protocol import ProtocolError
-from koop_service.serving.monitoring.logs import Brake
-from koop_service.serving.monitoring.metrics import Metrics
+from koop_service.serving.instruments.logs import Brake
+from koop_service.serving.instruments.metrics import Metrics
 
 log = logging.getLogger("koop.measurements")
 

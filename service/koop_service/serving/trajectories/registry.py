@@ -17,11 +17,11 @@ from koop_service.estimation.estimator import Bank
 from koop_service.estimation.settings import EstimatorSettings
 from koop_service.estimation.stream import Stream
 from koop_service.serving.config import EstimatorChoices
-from koop_service.serving.durability.sealing import unseal
 from koop_service.serving.trajectories.equipment import Equipment
 from koop_service.serving.trajectories.records import check_record, computed_elsewhere, restored
 from koop_service.serving.trajectories.refusals import Refusals
 from koop_service.serving.trajectories.residents import Residents
+from koop_service.serving.trajectories.sealing import unseal
 from koop_service.serving.trajectories.trajectory import REMEMBERED_EPOCHS, Trajectory, check_image
 
 log = logging.getLogger("koop.trajectories")

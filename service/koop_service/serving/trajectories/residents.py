@@ -8,8 +8,7 @@ from typing import Any, Protocol
 
 from koop_protocol import Control, Ending, ErrorCode, Frame, ProtocolError
 from koop_service.estimation.estimator import Bank
-from koop_service.serving.durability.store import StoreError
-from koop_service.serving.monitoring.logs import Brake
+from koop_service.serving.instruments.logs import Brake
 from koop_service.serving.trajectories.residence import Residence
 from koop_service.serving.trajectories.trajectory import Trajectory
 
@@ -31,7 +30,10 @@ class Archive(Protocol):
         ...
 
     def recall(self, name: str) -> dict[str, Any] | None:
-        """The record of one that may come back, where there is one."""
+        """The record of one that may come back, where there is one.
+
+        Raises OSError where it cannot be read at present.
+        """
         ...
 
     def arrived(self, name: str) -> None:
@@ -165,7 +167,7 @@ class Residents:
             trajectory = self._restored(name, record)
         except ProtocolError:
             raise
-        except StoreError as error:
+        except OSError as error:
             raise ProtocolError(
                 ErrorCode.internal,
                 f"the stored state of {name!r} cannot be read at present: {error}",

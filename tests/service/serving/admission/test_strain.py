@@ -11,9 +11,9 @@ from hypothesis import strategies as st
 
 from koop_protocol import OVERLOADED, ErrorCode
 from koop_service.serving.admission.strain import MEMORY, QUEUE, Strain
+from koop_service.serving.instruments.metrics import Metrics
+from koop_service.serving.instruments.process import own_bytes
 from koop_service.serving.monitoring.memory import Memory
-from koop_service.serving.monitoring.metrics import Metrics
-from koop_service.serving.monitoring.process import own_bytes
 
 
 class Clock:

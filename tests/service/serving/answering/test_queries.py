@@ -14,7 +14,7 @@ from koop_service.encoding.weights import EstimatorDefaults, ModelCard, save_wei
 from koop_service.prediction.uncertainty import calibrated
 from koop_service.serving.answering import queries
 from koop_service.serving.config import EstimatorChoices
-from koop_service.serving.monitoring.metrics import Metrics
+from koop_service.serving.instruments.metrics import Metrics
 from koop_service.serving.trajectories.refusals import Refusals
 from koop_service.serving.trajectories.registry import Registry
 from koop_service.serving.trajectories.trajectory import Trajectory

@@ -9,12 +9,8 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 
 from koop_protocol import shard_of
-from koop_service.serving.durability.store import (
-    EVERY_SHARD,
-    Claim,
-    FencedError,
-    SnapshotStore,
-)
+from koop_service.serving.durability.store import Claim, FencedError, SnapshotStore
+from koop_service.serving.sharding.ownership import EVERY_SHARD
 
 names = st.from_regex(r"[a-z0-9]{1,3}(/[A-Z_.-]{1,40}){0,2}", fullmatch=True)
 records = st.dictionaries(names, st.binary(max_size=200), max_size=8)

@@ -12,9 +12,10 @@ import pytest
 from koop_protocol import Durable, decode, durable_key
 from koop_service.serving.durability.keeper import Keeper, Snapshot
 from koop_service.serving.durability.lmdb_store import LmdbStore
-from koop_service.serving.durability.sealing import unseal
-from koop_service.serving.durability.store import EVERY_SHARD, Claim, StoreError
-from koop_service.serving.monitoring.metrics import Metrics
+from koop_service.serving.durability.store import Claim, StoreError
+from koop_service.serving.instruments.metrics import Metrics
+from koop_service.serving.sharding.ownership import EVERY_SHARD
+from koop_service.serving.trajectories.sealing import unseal
 
 EPOCH = "00000000000000aa"
 

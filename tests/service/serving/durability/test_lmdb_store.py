@@ -16,8 +16,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from koop_service.serving.durability.lmdb_store import LmdbStore
-from koop_service.serving.durability.sealing import seal
-from koop_service.serving.durability.store import EVERY_SHARD, StoreError
+from koop_service.serving.durability.store import StoreError
+from koop_service.serving.sharding.ownership import EVERY_SHARD
+from koop_service.serving.trajectories.sealing import seal
 
 from .store_contract import StoreContract
 
@@ -103,8 +104,8 @@ WRITER = """
 import sys
 from pathlib import Path
 from koop_service.serving.durability.lmdb_store import LmdbStore
-from koop_service.serving.durability.store import EVERY_SHARD
-from koop_service.serving.durability.sealing import seal
+from koop_service.serving.sharding.ownership import EVERY_SHARD
+from koop_service.serving.trajectories.sealing import seal
 store = LmdbStore(Path(sys.argv[1]))
 claim = store.claim("me", EVERY_SHARD)
 for number in range(10**6):
@@ -132,7 +133,8 @@ FULL = """
 import resource, signal, sys
 from pathlib import Path
 from koop_service.serving.durability.lmdb_store import LmdbStore
-from koop_service.serving.durability.store import EVERY_SHARD, StoreError
+from koop_service.serving.durability.store import StoreError
+from koop_service.serving.sharding.ownership import EVERY_SHARD
 signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
 store = LmdbStore(Path(sys.argv[1]))
 claim = store.claim("me", EVERY_SHARD)
@@ -202,8 +204,8 @@ SHARING = """
 import sys
 from pathlib import Path
 from koop_service.serving.durability.lmdb_store import LmdbStore
-from koop_service.serving.durability.sealing import seal
-from koop_service.serving.placement.ownership import share
+from koop_service.serving.trajectories.sealing import seal
+from koop_service.serving.sharding.ownership import share
 from koop_protocol import shard_of
 number = int(sys.argv[2])
 mine = share(number, 4)

@@ -13,12 +13,8 @@ import pytest
 from integration.postgres_server import PostgresServer, postgres_server
 
 from koop_service.serving.durability.postgres_store import PostgresStore
-from koop_service.serving.durability.store import (
-    EVERY_SHARD,
-    AwayError,
-    FencedError,
-    StoreError,
-)
+from koop_service.serving.durability.store import AwayError, FencedError, StoreError
+from koop_service.serving.sharding.ownership import EVERY_SHARD
 
 from .store_contract import StoreContract, name_of
 

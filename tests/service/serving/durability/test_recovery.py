@@ -18,7 +18,7 @@ from koop_protocol import (
     ReplayReply,
     encode,
 )
-from koop_service.serving.durability.news import LogAnswer, LogPresence
+from koop_service.serving.admission.news import LogAnswer, LogPresence
 
 from .recovery_desk import EPOCH, NAME, OTHER, Desk, frames
 

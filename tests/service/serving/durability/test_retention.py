@@ -13,8 +13,9 @@ from integration.loopback import wait_until
 from koop_service.serving.durability.keeper import Keeper, Snapshot
 from koop_service.serving.durability.lmdb_store import LmdbStore
 from koop_service.serving.durability.retention import Retention
-from koop_service.serving.durability.store import EVERY_SHARD, Claim, FencedError
-from koop_service.serving.monitoring.metrics import Metrics
+from koop_service.serving.durability.store import Claim, FencedError
+from koop_service.serving.instruments.metrics import Metrics
+from koop_service.serving.sharding.ownership import EVERY_SHARD
 
 from .store_contract import name_of
 

@@ -17,12 +17,12 @@ from koop_service.serving.config import EstimatorChoices
 from koop_service.serving.durability.archive import Archive
 from koop_service.serving.durability.keeper import Keeper
 from koop_service.serving.durability.lmdb_store import LmdbStore
-from koop_service.serving.durability.sealing import unseal
 from koop_service.serving.durability.snapshotter import Snapshotter
-from koop_service.serving.durability.store import EVERY_SHARD
-from koop_service.serving.monitoring.metrics import Metrics
+from koop_service.serving.instruments.metrics import Metrics
+from koop_service.serving.sharding.ownership import EVERY_SHARD
 from koop_service.serving.trajectories.refusals import Refusals
 from koop_service.serving.trajectories.registry import Registry
+from koop_service.serving.trajectories.sealing import unseal
 
 from .test_keeper import Fickle
 

@@ -13,11 +13,11 @@ from koop_service.encoding.autoencoder import initialised
 from koop_service.encoding.catalogue import Catalogue, ModelEntry
 from koop_service.encoding.weights import EstimatorDefaults, ModelCard, save_weights
 from koop_service.serving.config import EstimatorChoices
-from koop_service.serving.durability.sealing import seal
-from koop_service.serving.monitoring.metrics import Metrics
+from koop_service.serving.instruments.metrics import Metrics
 from koop_service.serving.trajectories.records import snapshot_of
 from koop_service.serving.trajectories.refusals import Refusals
 from koop_service.serving.trajectories.registry import Registry
+from koop_service.serving.trajectories.sealing import seal
 from koop_service.serving.trajectories.trajectory import Trajectory
 
 N = 8

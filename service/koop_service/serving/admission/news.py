@@ -1,10 +1,18 @@
-"""What the pipeline hears of sources' logs, and what it asks of them."""
+"""What the pipeline hears of who comes and goes, and of sources' logs; and what it asks of them."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 from koop_protocol import ReplayQuery
+
+
+@dataclass(frozen=True, slots=True)
+class Presence:
+    """An owner of tasks came (`here`) or went."""
+
+    owner: str
+    here: bool
 
 
 @dataclass(frozen=True, slots=True)

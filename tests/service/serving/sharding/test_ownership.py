@@ -7,15 +7,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from koop_protocol import SHARDS, shard_of
-from koop_service.serving.durability.store import EVERY_SHARD
-from koop_service.serving.placement.ownership import (
+from koop_service.serving.sharding.ownership import (
+    EVERY_SHARD,
     Ownership,
     listed,
     named_shards,
     share,
     worker_shards,
 )
-from koop_service.serving.placement.settings import PlacementSettings
+from koop_service.serving.sharding.settings import PlacementSettings
 
 
 @given(st.integers(1, SHARDS), st.text(max_size=20))

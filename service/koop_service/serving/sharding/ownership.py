@@ -11,8 +11,9 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 from koop_protocol import SHARDS, ProtocolError, shard_of
-from koop_service.serving.durability.store import EVERY_SHARD
 
+EVERY_SHARD = frozenset(f"{number:02x}" for number in range(SHARDS))
+"""All shards, as they stand in keys."""
 _SPOKESMAN = "00"
 """Whose owner answers what concerns no shard, such as a name that is none."""
 

@@ -13,8 +13,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from koop_protocol import Ending, Frame, ProtocolError
-from koop_service.serving.durability.sealing import seal
 from koop_service.serving.trajectories.records import snapshot_of
+from koop_service.serving.trajectories.sealing import seal
 
 from .archived import House, housed, write_model
 

@@ -6,8 +6,8 @@ import json
 import logging
 
 from koop_protocol import ErrorCode, ProtocolError
-from koop_service.serving.monitoring.logs import Brake, JsonFormatter, TextFormatter
-from koop_service.serving.monitoring.metrics import Metrics
+from koop_service.serving.instruments.logs import Brake, JsonFormatter, TextFormatter
+from koop_service.serving.instruments.metrics import Metrics
 from koop_service.serving.trajectories.refusals import Refusals
 
 

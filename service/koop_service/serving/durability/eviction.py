@@ -9,7 +9,7 @@ from collections.abc import Callable
 from typing import Any
 
 from koop_service.serving.durability.snapshotter import Snapshotter
-from koop_service.serving.monitoring.metrics import Metrics
+from koop_service.serving.instruments.metrics import Metrics
 from koop_service.serving.trajectories.registry import Registry
 from koop_service.serving.trajectories.trajectory import Trajectory
 
@@ -53,7 +53,7 @@ class Eviction:
         self._metrics.evicted.inc()
 
     def recall(self, name: str) -> dict[str, Any] | None:
-        """The record of one that may come back, where there is one."""
+        """The record of one that may come back; raises as `Archive.recall`."""
         return self._snapshotter.recall(name)
 
     def arrived(self, name: str) -> None:

@@ -8,7 +8,7 @@ from typing import Annotated
 
 from tyro.conf import arg
 
-from koop_service.serving.placement.ownership import (
+from koop_service.serving.sharding.ownership import (
     Ownership,
     check_count,
     named_shards,

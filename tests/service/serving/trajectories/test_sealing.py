@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 
-from koop_service.serving.durability.sealing import is_whole, seal, unseal
+from koop_service.serving.trajectories.sealing import is_whole, seal, unseal
 
 RECORD = {
     "number": 7,

@@ -1,0 +1,1 @@
+"""What every part counts and logs with, and the memory of the whole process."""

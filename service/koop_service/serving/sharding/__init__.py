@@ -1,0 +1,1 @@
+"""Which of the trajectories a worker owns: its shards, and how it is told."""
