@@ -26,9 +26,7 @@ from koop_service.serving.config import ServiceConfig
 from koop_service.serving.durability.archive import Archive
 from koop_service.serving.durability.eviction import Eviction
 from koop_service.serving.durability.keeper import Keeper
-from koop_service.serving.durability.log_reader import LogReader
 from koop_service.serving.durability.opening import claim_and_load, open_store
-from koop_service.serving.durability.recovery import Recovery
 from koop_service.serving.durability.retention import Retention
 from koop_service.serving.durability.snapshotter import Snapshotter
 from koop_service.serving.endpoint import Endpoint, put_command, put_durable, put_notice
@@ -41,6 +39,8 @@ from koop_service.serving.monitoring.vitals import Vitals, worker_name
 from koop_service.serving.monitoring.watchdog import Watchdog, give_up
 from koop_service.serving.pipeline import Pipeline
 from koop_service.serving.rehearsal import rehearse
+from koop_service.serving.replay.log_reader import LogReader
+from koop_service.serving.replay.recovery import Recovery
 from koop_service.serving.session import locators
 from koop_service.serving.sharding.ownership import Ownership
 from koop_service.serving.steering.commander import Commander

@@ -12,9 +12,9 @@ from koop_service.encoding.catalogue import Catalogue, ModelEntry
 from koop_service.serving.admission.intake import Arrival
 from koop_service.serving.admission.news import LogQuestion
 from koop_service.serving.config import EstimatorChoices
-from koop_service.serving.durability.recovery import Recovery
 from koop_service.serving.instruments.metrics import Metrics
 from koop_service.serving.measurements import Measurements
+from koop_service.serving.replay.recovery import Recovery
 from koop_service.serving.trajectories.records import snapshot_of
 from koop_service.serving.trajectories.refusals import Refusals
 from koop_service.serving.trajectories.registry import Registry

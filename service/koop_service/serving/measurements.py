@@ -32,9 +32,9 @@ from koop_protocol import (
 from koop_protocol.checks import Image
 from koop_service.encoding.image_codec import ImageCodec
 from koop_service.serving.admission.intake import Arrival, lane_of
-from koop_service.serving.durability.recovery import Recovery
 from koop_service.serving.instruments.logs import Brake
 from koop_service.serving.instruments.metrics import Metrics
+from koop_service.serving.replay.recovery import Recovery
 from koop_service.serving.trajectories.refusals import Refusals
 from koop_service.serving.trajectories.registry import Registry
 from koop_service.serving.trajectories.trajectory import Trajectory

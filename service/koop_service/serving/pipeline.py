@@ -18,10 +18,10 @@ from koop_service.serving.admission.intake import Arrival, Intake
 from koop_service.serving.answering.desk import Desk
 from koop_service.serving.answering.questions import Question
 from koop_service.serving.durability.eviction import Eviction
-from koop_service.serving.durability.recovery import Recovery
 from koop_service.serving.durability.snapshotter import Snapshotter
 from koop_service.serving.measurements import Measurements
 from koop_service.serving.monitoring.vitals import Vitals
+from koop_service.serving.replay.recovery import Recovery
 from koop_service.serving.steering.commander import Commander
 
 log = logging.getLogger("koop.pipeline")

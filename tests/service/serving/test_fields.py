@@ -27,10 +27,10 @@ from koop_service.encoding.weights import ModelCard, save_weights
 from koop_service.serving.admission.intake import Arrival
 from koop_service.serving.answering import queries
 from koop_service.serving.config import EstimatorChoices
-from koop_service.serving.durability.recovery import Recovery
 from koop_service.serving.instruments.metrics import Metrics
 from koop_service.serving.measurements import Measurements
 from koop_service.serving.rehearsal import rehearse
+from koop_service.serving.replay.recovery import Recovery
 from koop_service.serving.steering.aims import aim_of
 from koop_service.serving.trajectories.refusals import Refusals
 from koop_service.serving.trajectories.registry import Registry

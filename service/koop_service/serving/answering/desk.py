@@ -33,10 +33,10 @@ from koop_service.serving.answering.outbox import Outbox
 from koop_service.serving.answering.questions import Question, error_bytes, name_in
 from koop_service.serving.answering.replies import Answer, Replies
 from koop_service.serving.answering.shedding import Shedding
-from koop_service.serving.durability.recovery import Recovery
 from koop_service.serving.instruments.logs import Brake
 from koop_service.serving.instruments.metrics import Metrics
 from koop_service.serving.monitoring.vitals import Vitals
+from koop_service.serving.replay.recovery import Recovery
 from koop_service.serving.sharding.ownership import Ownership
 from koop_service.serving.trajectories.registry import Registry
 from koop_service.serving.trajectories.trajectory import Trajectory

@@ -1,1 +1,1 @@
-"""What survives the service's death: snapshots in a store, and how a trajectory catches up."""
+"""What survives the service's death: snapshots of trajectories in a store, and their way back."""

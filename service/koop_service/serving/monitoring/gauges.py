@@ -11,9 +11,9 @@ from koop_service.serving.admission.intake import Intake
 from koop_service.serving.admission.strain import Strain
 from koop_service.serving.config import ServiceConfig
 from koop_service.serving.durability.keeper import Keeper
-from koop_service.serving.durability.recovery import Recovery
 from koop_service.serving.durability.snapshotter import Snapshotter
 from koop_service.serving.instruments.metrics import Metrics
+from koop_service.serving.replay.recovery import Recovery
 from koop_service.serving.steering.tasks import Tasks
 from koop_service.serving.trajectories.registry import Registry
 

@@ -35,10 +35,10 @@ from koop_service.serving.answering.outbox import Outbox
 from koop_service.serving.answering.replies import Replies
 from koop_service.serving.answering.shedding import Shedding
 from koop_service.serving.config import EstimatorChoices
-from koop_service.serving.durability.recovery import Recovery
 from koop_service.serving.instruments.metrics import Metrics
 from koop_service.serving.monitoring.memory import Memory
 from koop_service.serving.monitoring.vitals import Vitals
+from koop_service.serving.replay.recovery import Recovery
 from koop_service.serving.steering.commander import Commander
 from koop_service.serving.steering.tasks import Tasks
 from koop_service.serving.trajectories.refusals import Refusals

@@ -10,7 +10,7 @@ import logging
 import time
 from collections import deque
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from itertools import count
 
 from koop_protocol import (
@@ -24,46 +24,17 @@ from koop_protocol import (
 )
 from koop_service.serving.admission.intake import Arrival
 from koop_service.serving.admission.news import LogAnswer, LogNews, LogPresence, LogQuestion
-from koop_service.serving.durability.catchup import CatchUp, Verdict, room_of
-from koop_service.serving.durability.holding import Holding
 from koop_service.serving.instruments.logs import Brake
 from koop_service.serving.instruments.metrics import Metrics
+from koop_service.serving.replay.catchup import Verdict, room_of
+from koop_service.serving.replay.holding import Holding
+from koop_service.serving.replay.source import LONGEST_PAUSE, PATIENCE, LoggedSource
 from koop_service.serving.trajectories.registry import Registry
 from koop_service.serving.trajectories.trajectory import Trajectory
 
 log = logging.getLogger("koop.replays")
 
 _HELD_BYTES = 32 << 20
-_FIRST_PAUSE, _LONGEST_PAUSE = 0.05, 2.0
-"""Seconds before a question that got no answer is asked again; doubled each time."""
-_PATIENCE = 30.0
-"""Seconds that live messages wait for a log that does not answer; then it is done without."""
-_GONE = 5.0
-"""Seconds without a live message and without a token, after which a source is taken for gone."""
-
-
-@dataclass(eq=False, slots=True)
-class _Source:
-    """A source with a log.
-
-    here: its token is there. mute: its log does not answer, and is done without. asked: the number
-    of the question under way, until its answer is folded. again: when to ask next [s].
-    behind_since: when it fell behind [s]. failing_since: when the first question failed since the
-    last answer [s]. held_at: when the newest live message was held [s]. largest: of those [bytes].
-    """
-
-    name: str
-    catch_up: CatchUp = field(default_factory=CatchUp)
-    here: bool = False
-    mute: bool = False
-    asked: int | None = None
-    again: float = 0.0
-    pause: float = _FIRST_PAUSE
-    behind_since: float = 0.0
-    failing_since: float | None = None
-    held_at: float = 0.0
-    largest: int = 0
-    dropped: int = 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,7 +44,7 @@ class Replay:
     Without a reply: live messages for which no log is waited any more.
     """
 
-    source: _Source
+    source: LoggedSource
     arrivals: list[Arrival]
     number: int | None = None
     reply: ReplayReply | None = None
@@ -97,8 +68,8 @@ class Recovery:
         self._limits = limits
         self._most = most
         self._clock = clock
-        self._sources: dict[str, _Source] = {}
-        self._behind: dict[str, _Source] = {}
+        self._sources: dict[str, LoggedSource] = {}
+        self._behind: dict[str, LoggedSource] = {}
         self._replays: deque[Replay] = deque()
         self._holding = Holding(_HELD_BYTES)
         self._numbers = count(1)
@@ -141,14 +112,12 @@ class Recovery:
         """Time until something is due by itself [s]."""
         now = self._clock()
         due = (s.again for s in self._behind.values() if s.asked is None)
-        return max(0.0, min(due, default=now + _LONGEST_PAUSE) - now)
+        return max(0.0, min(due, default=now + LONGEST_PAUSE) - now)
 
     def _welcome(self, name: str) -> None:
         source = self._source(name)
         if source is not None:
-            source.here, source.mute, source.asked = True, False, None
-            source.again, source.pause = 0.0, _FIRST_PAUSE
-            source.catch_up.start()
+            source.come()
             self._fall_behind(source)
 
     def _miss(self, presence: LogPresence) -> None:
@@ -157,16 +126,16 @@ class Recovery:
             source.here = False
             self._registry.tell_gone(presence.trajectory)
 
-    def _source(self, name: str) -> _Source | None:
+    def _source(self, name: str) -> LoggedSource | None:
         """The source of that name, new where there is room for it."""
         source = self._sources.get(name)
         if source is None and len(self._sources) >= self._most and not self._forget_one():
             if self._brake.admit("room") is not None:
                 log.warning("the log of %r is passed over: there are too many", name[:200])
             return None
-        return source or self._sources.setdefault(name, _Source(name))
+        return source or self._sources.setdefault(name, LoggedSource(name))
 
-    def _leave(self, source: _Source) -> None:
+    def _leave(self, source: LoggedSource) -> None:
         """Its log is gone, and its frames do not speak of one: from now on it is as any other."""
         source.asked = None
         del self._sources[source.name]
@@ -185,17 +154,17 @@ class Recovery:
         for source in list(self._behind.values()):
             if source.asked is not None or now < source.again:
                 continue
-            if not source.here and now - source.held_at > _GONE:
+            if source.is_gone(now):
                 # Whatever was not folded, its log will have when it comes again.
                 self._metrics.deferred.inc(len(self._holding.release(source.name)))
                 source.failing_since = None
                 del self._behind[source.name]
-            elif self._is_hopeless(source, now):
+            elif source.is_hopeless(now):
                 self._do_without(source)
             else:
                 self._ask_one(source)
 
-    def _ask_one(self, source: _Source) -> None:
+    def _ask_one(self, source: LoggedSource) -> None:
         try:
             trajectory = self._registry.find(source.name)
         except ProtocolError as error:  # no room in memory, or its state cannot be read
@@ -219,14 +188,12 @@ class Recovery:
             except ProtocolError as error:
                 problem = str(error)
         if reply is None:
-            if not answer.late and source.failing_since is None:
-                source.failing_since = self._clock()
-            self._fail(source, problem)
+            self._fail(source, problem, late=answer.late)
             return
-        source.pause, source.failing_since = _FIRST_PAUSE, None
+        source.answer()
         self._replays.append(Replay(source, self._arrivals(reply), answer.question.number, reply))
 
-    def _read(self, source: _Source, payload: bytes) -> ReplayReply:
+    def _read(self, source: LoggedSource, payload: bytes) -> ReplayReply:
         reply = decode_as(ReplayReply, payload, self._limits.for_replays())
         if reply.trajectory != source.name:
             raise ProtocolError("malformed", f"it answered for {reply.trajectory!r}")
@@ -239,25 +206,19 @@ class Recovery:
         key, now = replay_key(reply.trajectory), self._clock()
         return [Arrival(key, data, 0, at=now, replayed=True) for data in reply.messages]
 
-    def _fail(self, source: _Source, problem: str) -> None:
-        source.asked, source.again = None, self._clock() + source.pause
-        source.pause = min(2 * source.pause, _LONGEST_PAUSE)
+    def _fail(self, source: LoggedSource, problem: str, late: bool = True) -> None:
+        source.fail(self._clock(), late)
         if self._brake.admit("answer") is not None:
             log.info("the log of %s has not answered: %s; it is asked again", source.name, problem)
 
-    def _is_hopeless(self, source: _Source, now: float) -> bool:
-        """Whether messages come that nobody can be asked about."""
-        since = source.failing_since
-        return since is not None and now - since > _PATIENCE and now - source.held_at < _GONE
-
-    def _do_without(self, source: _Source) -> None:
+    def _do_without(self, source: LoggedSource) -> None:
         """Its live messages are taken as those of a source without a log."""
         if self._brake.admit("mute") is not None:
             log.warning(
                 "the log of %s has not answered for %g s; what it may have is done without until "
                 "its source starts anew",
                 source.name,
-                _PATIENCE,
+                PATIENCE,
             )
         source.mute, source.failing_since = True, None
         del self._behind[source.name]
@@ -293,7 +254,7 @@ class Recovery:
             self._metrics.catching_up.observe(self._clock() - source.behind_since)
         return self._holding.release(source.name)
 
-    def _tell_dropped(self, source: _Source, reply: ReplayReply) -> None:
+    def _tell_dropped(self, source: LoggedSource, reply: ReplayReply) -> None:
         if reply.dropped > source.dropped:
             log.warning(
                 "the log of %s was full: %d messages of it are lost",
@@ -332,18 +293,17 @@ class Recovery:
             return True
         return self._obey(source, source.catch_up.at_the_fold(message, trajectory), arrival)
 
-    def _obey(self, source: _Source, verdict: Verdict, arrival: Arrival) -> bool:
+    def _obey(self, source: LoggedSource, verdict: Verdict, arrival: Arrival) -> bool:
         if verdict is Verdict.hold:
             self._hold(source, arrival)
         return verdict is Verdict.fold
 
-    def _hold(self, source: _Source, arrival: Arrival) -> None:
+    def _hold(self, source: LoggedSource, arrival: Arrival) -> None:
         self._metrics.deferred.inc(self._holding.add(source.name, arrival))
-        source.held_at = self._clock()
-        source.largest = max(source.largest, len(arrival.data))
+        source.hold(len(arrival.data), self._clock())
         self._fall_behind(source)
 
-    def _fall_behind(self, source: _Source) -> None:
+    def _fall_behind(self, source: LoggedSource) -> None:
         if source.name not in self._behind:
             source.behind_since = self._clock()
             self._behind[source.name] = source

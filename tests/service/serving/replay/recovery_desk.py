@@ -16,9 +16,9 @@ from koop_protocol import (
 )
 from koop_service.serving.admission.news import LogAnswer, LogPresence, LogQuestion
 from koop_service.serving.config import EstimatorChoices
-from koop_service.serving.durability.recovery import Recovery
 from koop_service.serving.instruments.metrics import Metrics
 from koop_service.serving.measurements import Measurements
+from koop_service.serving.replay.recovery import Recovery
 from koop_service.serving.trajectories.refusals import Refusals
 from koop_service.serving.trajectories.trajectory import Trajectory
 

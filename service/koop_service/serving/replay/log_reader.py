@@ -14,7 +14,7 @@ from koop_protocol import ProtocolError, encode, replay_key
 from koop_protocol.codec import decode
 from koop_protocol.status import ErrorReply
 from koop_service.serving.admission.news import LogAnswer, LogQuestion
-from koop_service.serving.durability.catchup import ANSWERS
+from koop_service.serving.replay.catchup import ANSWERS
 
 log = logging.getLogger("koop.replays")
 

@@ -6,7 +6,7 @@ import hypothesis.strategies as st
 from hypothesis import given
 
 from koop_service.serving.admission.intake import Arrival
-from koop_service.serving.durability.holding import Holding
+from koop_service.serving.replay.holding import Holding
 
 LIMIT, EACH = 1000, 64
 

@@ -14,8 +14,8 @@ from integration.loopback import wait_until
 from koop_protocol import ReplayQuery, replay_key
 from koop_service.serving.admission.news import LogAnswer, LogQuestion
 from koop_service.serving.config import NetworkSettings
-from koop_service.serving.durability.catchup import ANSWERS, room_of
-from koop_service.serving.durability.log_reader import LogReader
+from koop_service.serving.replay.catchup import ANSWERS, room_of
+from koop_service.serving.replay.log_reader import LogReader
 from koop_service.serving.session import open_session
 
 NAME = "cart/0"
