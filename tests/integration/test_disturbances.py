@@ -26,7 +26,7 @@ from koop_protocol import (
     Limits,
     encode,
 )
-from koop_service.serving.admission.intake import Arrival
+from koop_service.serving.admission.arrivals import Arrival
 from koop_service.serving.admission.news import LogAnswer, LogPresence, LogQuestion
 from koop_service.serving.config import EstimatorChoices
 from koop_service.serving.instruments.metrics import Metrics

@@ -9,7 +9,7 @@ from typing import Any
 
 from koop_protocol import Control, Frame, Limits, control_key, encode, frame_key
 from koop_service.encoding.catalogue import Catalogue, ModelEntry
-from koop_service.serving.admission.intake import Arrival
+from koop_service.serving.admission.arrivals import Arrival
 from koop_service.serving.admission.news import LogQuestion
 from koop_service.serving.config import EstimatorChoices
 from koop_service.serving.instruments.metrics import Metrics

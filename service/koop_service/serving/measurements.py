@@ -15,23 +15,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from koop_protocol import (
-    Control,
-    Ending,
-    ErrorCode,
-    Frame,
-    KeyKind,
-    Limits,
-    ProtocolError,
-    control_key,
-    decode,
-    frame_key,
-    parse_key,
-    replay_key,
-)
+from koop_protocol import Control, Ending, Frame, Limits, ProtocolError
 from koop_protocol.checks import Image
 from koop_service.encoding.image_codec import ImageCodec
-from koop_service.serving.admission.intake import Arrival, lane_of
+from koop_service.serving.admission.arrivals import Arrival, lane_of
+from koop_service.serving.admission.reading import read
 from koop_service.serving.instruments.logs import Brake
 from koop_service.serving.instruments.metrics import Metrics
 from koop_service.serving.replay.recovery import Recovery
@@ -106,22 +94,11 @@ class Measurements:
 
     def _read(self, arrival: Arrival) -> Frame | Control | None:
         try:
-            if arrival.fault is not None:
-                raise arrival.fault
-            message = decode(arrival.data, self._limits)
-            if not isinstance(message, Frame | Control):
-                raise ProtocolError(
-                    ErrorCode.malformed,
-                    f"a {type(message).__name__} came as a measurement",
-                    "a frame or a control",
-                )
-            _check_key(arrival, message)
+            return read(arrival, self._limits)
         except ProtocolError as error:
             self._reject(lane_of(arrival.key), error)
         except Exception:
             self._lose("reading a message", 1)
-        else:
-            return message
         return None
 
     def _accept(
@@ -229,22 +206,3 @@ class Measurements:
 def _stack(images: list[Image]) -> NDArray[np.generic]:
     batch = np.stack(images)
     return batch if batch.dtype == np.uint8 else batch.astype(np.float32, copy=False)
-
-
-def _check_key(arrival: Arrival, message: Frame | Control) -> None:
-    """ProtocolError unless the message came on the key that belongs to it."""
-    expected = (frame_key if isinstance(message, Frame) else control_key)(message.trajectory)
-    if arrival.replayed:
-        expected = replay_key(message.trajectory)
-    key = arrival.key
-    if key == expected:
-        return
-    kind = KeyKind.frame if isinstance(message, Frame) else KeyKind.control
-    named = parse_key(key)
-    raise ProtocolError(
-        ErrorCode.bad_key,
-        f"a {kind} of {message.trajectory!r} came on the key of a {named.kind} of "
-        f"{named.trajectory!r}",
-        f"the key {expected}",
-        "build keys with the functions of koop_protocol.keys",
-    )

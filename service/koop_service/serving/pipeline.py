@@ -14,7 +14,8 @@ import threading
 import time
 from collections.abc import Callable
 
-from koop_service.serving.admission.intake import Arrival, Intake
+from koop_service.serving.admission.arrivals import Arrival
+from koop_service.serving.admission.intake import Intake
 from koop_service.serving.answering.desk import Desk
 from koop_service.serving.answering.questions import Question
 from koop_service.serving.durability.eviction import Eviction

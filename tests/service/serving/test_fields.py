@@ -24,7 +24,7 @@ from koop_service.encoding.architecture import Architecture
 from koop_service.encoding.autoencoder import initialised
 from koop_service.encoding.catalogue import Catalogue, ModelEntry
 from koop_service.encoding.weights import ModelCard, save_weights
-from koop_service.serving.admission.intake import Arrival
+from koop_service.serving.admission.arrivals import Arrival
 from koop_service.serving.answering import queries
 from koop_service.serving.config import EstimatorChoices
 from koop_service.serving.instruments.metrics import Metrics

@@ -16,10 +16,9 @@ from dataclasses import dataclass
 from typing import Generic, TypeVar
 
 from koop_protocol import ProtocolError
+from koop_service.serving.admission.arrivals import Arrival, lane_of
 from koop_service.serving.admission.news import LogNews, Presence
-from koop_service.serving.admission.turns import Arrival, Turns, lane_of
-
-__all__ = ["Arrival", "Intake", "Waiting", "lane_of"]
+from koop_service.serving.admission.turns import Turns
 
 Q = TypeVar("Q")
 

@@ -16,8 +16,6 @@ from dataclasses import replace
 from koop_service.serving.admission.arrivals import STRANGERS, Arrival, lane_of
 from koop_service.serving.admission.shares import Paces, Share
 
-__all__ = ["Arrival", "Turns", "lane_of"]
-
 _NEVER = float("inf")
 _COMPANY = 4
 """One stranger goes with the known ones' frames, or with so many of these one each."""

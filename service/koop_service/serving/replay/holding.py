@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 
-from koop_service.serving.admission.intake import Arrival
+from koop_service.serving.admission.arrivals import Arrival
 
 _EACH = 64
 """Messages held of one trajectory; the newest are worth most, since the log brings the oldest."""

@@ -22,7 +22,7 @@ from koop_protocol import (
     decode_as,
     replay_key,
 )
-from koop_service.serving.admission.intake import Arrival
+from koop_service.serving.admission.arrivals import Arrival
 from koop_service.serving.admission.news import LogAnswer, LogNews, LogPresence, LogQuestion
 from koop_service.serving.instruments.logs import Brake
 from koop_service.serving.instruments.metrics import Metrics

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from itertools import count
 
-from koop_service.serving.admission.turns import Arrival, Turns, lane_of
+from koop_service.serving.admission.arrivals import Arrival, lane_of
+from koop_service.serving.admission.turns import Turns
 
 NOW = 1000.0  # s
 BATCH = 64

@@ -6,7 +6,8 @@ import threading
 
 import pytest
 
-from koop_service.serving.admission.intake import Arrival, Intake
+from koop_service.serving.admission.arrivals import Arrival
+from koop_service.serving.admission.intake import Intake
 
 
 def key(name: str) -> str:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from itertools import count
 
-from koop_service.serving.admission.turns import lane_of
+from koop_service.serving.admission.arrivals import lane_of
 
 from .bench import BATCH, NOW, Bench
 

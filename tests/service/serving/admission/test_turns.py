@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from koop_service.serving.admission.turns import lane_of
+from koop_service.serving.admission.arrivals import lane_of
 
 from .bench import BATCH, NOW, Bench
 
