@@ -48,6 +48,7 @@ LQR_QUERIES = {
     "a horizon too long to plan": ("bad_horizon", {"horizon": 900}),
     "no target": ("bad_target", {"target_code": None}),
     "code of a wrong size": ("bad_target", {"target_code": array(np.zeros(5))}),
+    "a code beyond measure": ("bad_target", {"target_code": array(CODE + 1e200)}),
     "NaN code": ("not_finite", {"target_code": array(CODE * np.nan)}),
     "picture of a wrong shape": (
         "bad_target",
@@ -133,6 +134,7 @@ def test_a_bad_lqr_query_gets_an_error(koop: Loop, case: str) -> None:
         ("malformed", b"\xc1"),
         ("too_large", bytes(5 << 20)),
         ("bad_controls", encode(PredictQuery(3, np.zeros((3, 2))))),
+        ("bad_controls", encode(PredictQuery(3, np.full((3, 1), 1e31)))),
         ("not_finite", encode(PredictQuery(3, np.zeros((3, 1)))).replace(bytes(24), b"\xff" * 24)),
     ],
 )

@@ -25,7 +25,7 @@ from koop_service.prediction.model import LinearModel
 from koop_service.prediction.uncertainty import calibrated, rollout_std
 from koop_service.serving.steering.outset import set_out
 from koop_service.serving.trajectories.forecasts import finite, forecast
-from koop_service.serving.trajectories.trajectory import Trajectory
+from koop_service.serving.trajectories.trajectory import Trajectory, check_size
 
 Array = NDArray[np.float64]
 
@@ -121,4 +121,5 @@ def _controls(trajectory: Trajectory, query: PredictQuery) -> Array:
             else f"none, since the trajectory {trajectory.name!r} is not actuated",
             details={"control_size": size},
         )
+    check_size(query.controls, ErrorCode.bad_controls, "controls")
     return query.controls

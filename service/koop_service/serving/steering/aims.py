@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from koop_protocol import ErrorCode, LqrQuery, ProtocolError
-from koop_service.serving.trajectories.trajectory import Trajectory, check_values
+from koop_service.serving.trajectories.trajectory import Trajectory, check_size, check_values
 
 Array = NDArray[np.float64]
 
@@ -110,6 +110,8 @@ def _check_sizes(trajectory: Trajectory, query: LqrQuery) -> None:
                 f"{size}, the size of a {what} of {trajectory.name!r}",
                 details={"field": name, "size": size},
             )
+        if value is not None and not isinstance(value, str):
+            check_size(value, code, name)
 
 
 def _check_known(trajectory: Trajectory, query: LqrQuery) -> None:
@@ -128,6 +130,8 @@ def _check_known(trajectory: Trajectory, query: LqrQuery) -> None:
             f"channels from 0 to {p - 1} of {trajectory.name!r}, and one left to decide",
             details={"field": "known_channels", "control_size": p},
         )
+    if query.known_controls is not None:
+        check_size(query.known_controls, ErrorCode.bad_controls, "known_controls")
 
 
 def _pictures(trajectory: Trajectory, image: NDArray[np.generic]) -> NDArray[np.generic]:

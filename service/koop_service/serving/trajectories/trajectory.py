@@ -6,7 +6,7 @@ from collections import Counter
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from koop_protocol import Control, ErrorCode, Frame, ProtocolError
 from koop_protocol.checks import Image
@@ -20,8 +20,8 @@ from koop_service.prediction.model import LinearModel
 
 Array = NDArray[np.float64]
 
-_LARGEST_CONTROL = 1e30
-"""Beyond it the estimator's squares could overflow; no actuator is."""
+_LARGEST = 1e30
+"""Of a control, or of what a query asks for: beyond it squares could overflow; no actuator is."""
 REMEMBERED_EPOCHS = 8
 """Ended runs whose messages are still recognised as late."""
 
@@ -82,13 +82,7 @@ class Trajectory:
                 f"u has {len(control.u)} components",
                 f"{self.settings.control_size}, the control_size of this trajectory's frames",
             )
-        if np.abs(control.u).max() > _LARGEST_CONTROL:
-            raise ProtocolError(
-                ErrorCode.too_large,
-                f"u has the component {control.u[np.abs(control.u).argmax()]:g}",
-                f"magnitudes up to {_LARGEST_CONTROL:g}",
-                "check the actuators' unit",
-            )
+        check_size(control.u, ErrorCode.too_large, "u", "check the actuators' unit")
         self._check_epoch(control)
 
     def fold_frame(self, frame: Frame, code: Array) -> None:
@@ -262,6 +256,20 @@ def check_values(image: NDArray[np.generic], codec: ImageCodec, code: str, field
             "divide by 255, or send uint8"
             if pictures
             else "normalise its channels as the model's recording did",
+            {"field": field_name},
+        )
+
+
+def check_size(values: ArrayLike, code: str, field_name: str, remedy: str = "") -> None:
+    """ProtocolError where a finite number is so large that what it is used for could overflow."""
+    numbers = np.ravel(values)
+    largest = numbers[np.abs(numbers).argmax()]
+    if abs(largest) > _LARGEST:
+        raise ProtocolError(
+            code,
+            f"{field_name} has the component {largest:g}",
+            f"magnitudes up to {_LARGEST:g}",
+            remedy,
             {"field": field_name},
         )
 

@@ -31,6 +31,11 @@ def two(tmp_path: Path) -> Trajectory:
         ({"qf": np.ones(N + 1), **CODE}, ErrorCode.bad_weights),
         ({"du_min": -np.ones(3)}, ErrorCode.bad_bounds),
         ({"du_max": np.ones(3)}, ErrorCode.bad_bounds),
+        ({"target_code": np.full(N, -1e31)}, ErrorCode.bad_target),
+        ({"r": 1e31, **CODE}, ErrorCode.bad_weights),
+        ({"qf": np.full(N, 1e31), **CODE}, ErrorCode.bad_weights),
+        ({"u_max": np.full(2, 1e31)}, ErrorCode.bad_bounds),
+        ({"known_channels": (0,), "known_controls": np.full((1, 1), 1e31)}, ErrorCode.bad_controls),
         ({"known_channels": (2,), "known_controls": np.zeros((1, 1))}, ErrorCode.bad_controls),
         ({"known_channels": (0, 1), "known_controls": np.zeros((1, 2))}, ErrorCode.bad_controls),
         (
