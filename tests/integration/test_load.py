@@ -18,13 +18,13 @@ def test_a_burst_from_two_processes_loses_nothing(
     tmp_path: Path, model: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     with loop(config_for(tmp_path, model, queue_messages=64)) as koop:
-        process = Measurements.process
+        fold = Measurements.process
 
-        def process_once_full(measurements: Measurements, arrivals: list) -> dict:
+        def fold_once_full(measurements: Measurements, arrivals: list) -> dict:
             wait_until(lambda: koop.service.metrics.value("koop_held_total") > 0, "a full queue")
-            return process(measurements, arrivals)
+            return fold(measurements, arrivals)
 
-        monkeypatch.setattr(Measurements, "process", process_once_full)
+        monkeypatch.setattr(Measurements, "process", fold_once_full)
         spawn = multiprocessing.get_context("spawn")
         processes = [
             spawn.Process(
