@@ -34,8 +34,8 @@ from koop_service.estimation.stream import Stream
 from koop_service.learning.recording import load_manifest, load_recording
 from koop_service.serving.answering import queries
 from koop_service.serving.config import EstimatorChoices
-from koop_service.serving.durability import sealing
 from koop_service.serving.toml import load_config
+from koop_service.serving.trajectories import sealing
 from koop_service.serving.trajectories.equipment import settings_for
 from koop_service.serving.trajectories.records import check_record, restored, snapshot_of
 from koop_service.serving.trajectories.trajectory import Trajectory
