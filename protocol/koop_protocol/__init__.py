@@ -36,6 +36,7 @@ from koop_protocol.keys import (
 )
 from koop_protocol.lifecycle import (
     CATCHING_UP,
+    ENCODER_FAILS,
     NOT_DURABLE,
     OVERLOADED,
     SHORT_OF_MEMORY,
@@ -92,6 +93,7 @@ __all__ = [
     "DEFAULT_BATCH_BYTES",
     "DT_ATTRIBUTE",
     "DURABLES",
+    "ENCODER_FAILS",
     "FORMAT_ATTRIBUTE",
     "FRAMES",
     "FRAMES_DATASET",

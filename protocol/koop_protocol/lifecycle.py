@@ -17,6 +17,8 @@ NOT_DURABLE = "not_durable"
 """Snapshots cannot be written at present."""
 CATCHING_UP = "catching_up"
 """Some trajectories are being read from their source's log."""
+ENCODER_FAILS = "encoder_fails"
+"""Frames of some model cannot be encoded at present."""
 
 
 @dataclass(frozen=True)

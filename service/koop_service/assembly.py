@@ -12,7 +12,7 @@ from functools import partial
 import torch
 import zenoh
 
-from koop_protocol import CATCHING_UP, NOT_DURABLE, Limits
+from koop_protocol import CATCHING_UP, ENCODER_FAILS, NOT_DURABLE, Limits
 from koop_service.encoding.catalogue import Catalogue, ModelEntry, bundled_or_own
 from koop_service.serving.admission.intake import Intake
 from koop_service.serving.admission.pace import Pace
@@ -33,7 +33,12 @@ from koop_service.serving.endpoint import Endpoint, put_command, put_durable, pu
 from koop_service.serving.instruments.metrics import Metrics
 from koop_service.serving.measurements import Measurements
 from koop_service.serving.monitoring.collector import settle, sparing
-from koop_service.serving.monitoring.gauges import serve_metrics, watch_durability, watch_load
+from koop_service.serving.monitoring.gauges import (
+    serve_metrics,
+    watch_durability,
+    watch_encoder,
+    watch_load,
+)
 from koop_service.serving.monitoring.memory import Memory
 from koop_service.serving.monitoring.vitals import Vitals, worker_name
 from koop_service.serving.monitoring.watchdog import Watchdog, give_up
@@ -195,6 +200,8 @@ def _started(
         config.compute.batch,
         metrics.lost.inc,
     )
+    vitals.watch(ENCODER_FAILS, lambda: measurements.encoder_fails)
+    watch_encoder(metrics, lambda: measurements.encoder_fails)
     watch_load(metrics, intake, registry, tasks, strains)
     watch_durability(metrics, recovery, snapshotter, keeper)
     pace = Pace(limits.max_query_rate)
@@ -204,7 +211,7 @@ def _started(
         stack.callback(outbox.stop, _LAST_ANSWERS)
         pipeline.start()
         stack.callback(pipeline.stop, _LAST_BATCH)
-        _guard(config, vitals, metrics, stack)
+        _guard(config, vitals, measurements, metrics, stack)
         stack.enter_context(endpoint.declared(session))
         # After that: what a source puts once it was asked must find us listening.
         reader.start()
@@ -220,12 +227,25 @@ def _finished(question: Question, intake: Intake[Question], metrics: Metrics) ->
     metrics.queries.labels(question.kind).observe(question.age())
 
 
-def _guard(config: ServiceConfig, vitals: Vitals, metrics: Metrics, stack: ExitStack) -> None:
-    """Have a watchdog look after the pipeline."""
+def _guard(
+    config: ServiceConfig,
+    vitals: Vitals,
+    measurements: Measurements,
+    metrics: Metrics,
+    stack: ExitStack,
+) -> None:
+    """Have a watchdog look after the pipeline; who can encode nothing might as well not turn."""
+
+    def fails() -> bool:
+        return measurements.encoder_fails
+
+    def turns() -> int:
+        return -1 if fails() else vitals.turns
+
     patience, exits = config.monitoring.stuck_after, config.monitoring.exit_when_stuck
     if patience:
-        stuck = give_up(exits, patience, metrics.stuck.inc)
-        watchdog = Watchdog(lambda: vitals.turns, patience, stuck, exits)
+        stuck = give_up(exits, patience, metrics.stuck.inc, fails)
+        watchdog = Watchdog(turns, patience, stuck, exits)
         watchdog.start()
         stack.callback(watchdog.stop)
 

@@ -12,6 +12,7 @@ import pytest
 
 from koop_protocol import (
     CATCHING_UP,
+    ENCODER_FAILS,
     HEALTH,
     NOT_DURABLE,
     OVERLOADED,
@@ -136,7 +137,7 @@ def test_the_reasons_of_a_trajectory_s_end_are_all_there():
 
 def test_the_words_of_health_are_all_there():
     known = [row[0].strip("`") for row in rows(section("### health")) if len(row) == 2]
-    assert known == [OVERLOADED, SHORT_OF_MEMORY, NOT_DURABLE, CATCHING_UP]
+    assert known == [OVERLOADED, SHORT_OF_MEMORY, NOT_DURABLE, CATCHING_UP, ENCODER_FAILS]
 
 
 def test_the_token_of_an_owner_is_what_the_code_gives():

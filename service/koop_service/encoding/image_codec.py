@@ -58,6 +58,14 @@ class ImageCodec:
         second = self._encode(images[half:])
         return np.concatenate([first.result(), second])
 
+    def is_sound(self) -> bool:
+        """Whether an empty picture can be encoded; where not, no picture is to blame."""
+        try:
+            self.encode(np.zeros((1, *self.image_shape), np.float32))
+        except Exception:
+            return False
+        return True
+
     def _encode(self, images: np.ndarray) -> np.ndarray:
         scale = 1 / 255 if images.dtype == np.uint8 else 1.0
         pixels = torch.tensor(images).to(self._device, torch.float32).mul_(scale)

@@ -7,7 +7,6 @@ lost ones; it never touches another trajectory's.
 from __future__ import annotations
 
 import logging
-import time
 from collections import defaultdict
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
@@ -20,6 +19,7 @@ from koop_protocol.checks import Image
 from koop_service.encoding.image_codec import ImageCodec
 from koop_service.serving.admission.arrivals import Arrival, lane_of
 from koop_service.serving.admission.reading import read
+from koop_service.serving.encoding import BatchEncoder, EncoderError
 from koop_service.serving.instruments.logs import Brake
 from koop_service.serving.instruments.metrics import Metrics
 from koop_service.serving.replay.recovery import Recovery
@@ -34,12 +34,16 @@ Array = NDArray[np.float64]
 
 @dataclass(slots=True)
 class _Accepted:
-    """A message that will be folded; a frame's code is computed in between."""
+    """A message that will be folded; a frame's code is computed in between.
+
+    stalled: the encoder failed under it.
+    """
 
     trajectory: Trajectory
     message: Frame | Control
     arrival: Arrival
     code: Array | None = None
+    stalled: bool = False
 
 
 class Measurements:
@@ -60,13 +64,21 @@ class Measurements:
         self._metrics = metrics
         self._limits = limits
         self._changed = changed
+        self._encoder = BatchEncoder(metrics)
+        self._stalled: set[str] = set()
         self._brake = Brake()
+
+    @property
+    def encoder_fails(self) -> bool:
+        """Whether some model could not encode what last came for it."""
+        return self._encoder.fails
 
     def process(self, arrivals: list[Arrival]) -> dict[Trajectory, float]:
         """Use every arrival or account for it; raises nothing.
 
         Returns the trajectories that have a new newest live frame, and when that came [s].
         """
+        self._stalled.clear()
         accepted: list[_Accepted] = []
         advanced: dict[Trajectory, float] = {}
         for arrival in arrivals:
@@ -151,12 +163,14 @@ class Measurements:
     def _fold_one(self, item: _Accepted) -> bool:
         message = item.message
         try:
+            if self._waits(item):
+                return False
             if not self._recovery.folds(item.arrival, message, item.trajectory):
                 return False
             if isinstance(message, Control):
                 item.trajectory.fold_control(message)
             elif item.code is None:
-                return False  # lost in the encoder, and counted there
+                return False  # it could not be encoded, and is counted
             else:
                 item.trajectory.fold_frame(message, item.code)
         except ProtocolError as error:
@@ -166,6 +180,21 @@ class Measurements:
         else:
             return True
         return False
+
+    def _waits(self, item: _Accepted) -> bool:
+        """Whether the encoder failed under it or, of a log's answer, under one before it.
+
+        It comes again where its source has a log; else it is lost.
+        """
+        message, arrival = item.message, item.arrival
+        if arrival.replayed:
+            if item.stalled:
+                self._stalled.add(message.trajectory)
+            arrival.stalled = message.trajectory in self._stalled
+            return arrival.stalled
+        if item.stalled and not self._recovery.stalls(arrival, message):
+            self._metrics.lost.inc()
+        return item.stalled
 
     def _encode(self, items: list[_Accepted]) -> None:
         """Compute the codes, all frames of one model together."""
@@ -178,17 +207,18 @@ class Measurements:
             self._encode_group(codec, group)
 
     def _encode_group(self, codec: ImageCodec, group: list[tuple[_Accepted, Image]]) -> None:
-        started = time.perf_counter()
+        images = [image for _, image in group]
         try:
-            images = _stack([image for _, image in group])
-            codes = codec.encode(images, hurried=self._recovery.behind > 0)
-        except Exception:
-            self._lose("encoding", len(group))
+            codes = self._encoder.encode(codec, images, hurried=self._recovery.behind > 0)
+        except EncoderError as error:
+            if self._brake.admit("encoder") is not None:
+                log.error("nothing can be encoded; sources with a log lose nothing", exc_info=error)
+            for item, _ in group:
+                item.stalled = True
             return
         for (item, _), code in zip(group, codes, strict=True):
             item.code = code
-        self._metrics.encoding.observe(time.perf_counter() - started)
-        self._metrics.batch.observe(len(group))
+        self._metrics.lost.inc(sum(code is None for code in codes))
 
     def _reject(self, lane: str, error: ProtocolError) -> None:
         trajectory = self._registry.held(lane)
@@ -201,8 +231,3 @@ class Measurements:
         self._metrics.lost.inc(count)
         if self._brake.admit(doing) is not None:
             log.exception("%s failed; %d messages are lost, the service goes on", doing, count)
-
-
-def _stack(images: list[Image]) -> NDArray[np.generic]:
-    batch = np.stack(images)
-    return batch if batch.dtype == np.uint8 else batch.astype(np.float32, copy=False)

@@ -17,6 +17,7 @@ class Arrival:
 
     `share` is whose room it takes; `taken` marks what a short cut took out of turn. `at` is when it
     came, by time.monotonic [s]. `replayed`: it came out of a source's log, not from the queue.
+    `stalled`: it was not folded, since the encoder failed, and is to be asked for again.
     """
 
     key: str
@@ -26,6 +27,7 @@ class Arrival:
     taken: bool = False
     at: float = 0.0
     replayed: bool = False
+    stalled: bool = False
     share: str = STRANGERS
 
     @property

@@ -35,4 +35,4 @@ class Pace:
                 self._began = now
                 self._counts.clear()
             self._counts[key] += 1
-            return self._began + _WINDOW - now if self._counts[key] > self._rate else 0.0
+            return _WINDOW - (now - self._began) if self._counts[key] > self._rate else 0.0

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from functools import partial
 from typing import Any
@@ -48,6 +48,13 @@ def watch_durability(
     metrics.watch("snapshot_age_seconds", "Age of the oldest unstored change", snapshotter.age)
     metrics.watch(
         "not_durable", "1 while states cannot be stored", lambda: float(not keeper.is_durable)
+    )
+
+
+def watch_encoder(metrics: Metrics, fails: Callable[[], bool]) -> None:
+    """Whether pictures become codes."""
+    metrics.watch(
+        "encoder_fails", "1 while frames of some model cannot be encoded", lambda: float(fails())
     )
 
 

@@ -1,4 +1,5 @@
-"""Notices a pipeline that does not turn any more: a lock, a disk or a library that never returns.
+"""Notices a pipeline that moves nothing any more: a lock, a disk or a library that never returns, a
+device that cannot encode.
 
 It says where every thread stands, and by default ends the process, so that its supervisor starts a
 new one: a service that is stuck answers nobody and holds all its sources back, while a new one
@@ -85,13 +86,16 @@ def stacks() -> str:
         return file.read()
 
 
-def give_up(exits: bool, patience: float, count: Callable[[], None]) -> Callable[[str], None]:
+def give_up(
+    exits: bool, patience: float, count: Callable[[], None], encoder_fails: Callable[[], bool]
+) -> Callable[[str], None]:
     """What happens to a stuck pipeline: it is counted, told, and the process ends if it `exits`."""
 
     def stuck(text: str) -> None:
         count()
         log.critical(
-            "the pipeline has not turned for %g s; %s. Its threads:\n%s",
+            "%s for %g s; %s. Its threads:\n%s",
+            "nothing could be encoded" if encoder_fails() else "the pipeline has not turned",
             patience,
             "the process ends" if exits else "nobody is answered",
             text,

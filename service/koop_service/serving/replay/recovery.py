@@ -209,7 +209,7 @@ class Recovery:
     def _fail(self, source: LoggedSource, problem: str, late: bool = True) -> None:
         source.fail(self._clock(), late)
         if self._brake.admit("answer") is not None:
-            log.info("the log of %s has not answered: %s; it is asked again", source.name, problem)
+            log.info("the log of %s is asked again: %s", source.name, problem)
 
     def _do_without(self, source: LoggedSource) -> None:
         """Its live messages are taken as those of a source without a log."""
@@ -239,6 +239,9 @@ class Recovery:
         """After its messages are folded; the live ones that come next."""
         source, reply = replay.source, replay.reply
         if reply is None or source.asked != replay.number:
+            return []
+        if any(arrival.stalled for arrival in replay.arrivals):
+            self._fail(source, "what it gave could not be encoded")
             return []
         self._tell_dropped(source, reply)
         try:
@@ -292,6 +295,15 @@ class Recovery:
         if source is None or source.mute:
             return True
         return self._obey(source, source.catch_up.at_the_fold(message, trajectory), arrival)
+
+    def stalls(self, arrival: Arrival, message: Frame | Control) -> bool:
+        """A live message cannot be folded at present; whether its source's log has it too."""
+        source = self._sources.get(message.trajectory)
+        if source is None or source.mute:
+            return False
+        source.catch_up.start()
+        self._hold(source, arrival)
+        return True
 
     def _obey(self, source: LoggedSource, verdict: Verdict, arrival: Arrival) -> bool:
         if verdict is Verdict.hold:
