@@ -267,10 +267,13 @@ disturbances = (
 happenings = st.lists(st.one_of(streaming, *disturbances), max_size=16)
 ENCODE = ImageCodec.encode
 first_control_lost = [("miss_next", {"kind": Control})]
+encoder_gone = [("stream", {"count": 9, "answered": True}), ("turn_encoder", {"on": False})]
 
 
 @given(happenings, st.integers(0, 1))
 @example(first_control_lost, 1)
+@example(encoder_gone, 1)
+@example(encoder_gone, 0)
 @settings(max_examples=40, deadline=None, derandomize=True)
 def test_the_state_is_that_of_an_undisturbed_stream(
     weights: Path,
