@@ -8,6 +8,8 @@ import shutil
 import subprocess
 import sys
 import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,6 +18,7 @@ from integration.loopback import DEADLINE, Loop, Source, client, config_for, loo
 
 from koop_clients import health
 from koop_clients.queries import NO_REPLY, KoopClient, KoopError
+from koop_protocol import ENCODER_FAILS
 from koop_service.serving.config import MonitoringSettings
 from koop_service.serving.measurements import Measurements
 from koop_service.serving.monitoring.watchdog import EXIT_CODE
@@ -67,21 +70,29 @@ def test_a_stuck_pipeline_does_not_answer(
         assert koop.state("cart/0").frames == 1
 
 
+@contextmanager
+def program(broken: str, *options: str) -> Iterator[tuple[subprocess.Popen[str], str]]:
+    """A koop-serve that is broken by some lines of Python, and its endpoint."""
+    command = [sys.executable, "-c", broken + "from koop_service.cli import main; main()", *options]
+    pipe = subprocess.PIPE
+    process = subprocess.Popen(command, stdout=pipe, stderr=pipe, text=True)
+    try:
+        yield process, re.search(r"ready on (\S+)", process.stdout.readline())[1]
+    finally:
+        process.kill()
+        process.communicate()
+
+
 @pytest.mark.parametrize("frees_the_interpreter", [True, False])
 def test_a_stuck_process_says_where_and_ends(
     frees_the_interpreter: bool, tmp_path: Path, model: Path
 ) -> None:
     """Without the interpreter's lock the watchdog cannot run, and faulthandler's timer has to."""
     network = shutil.copy(model, tmp_path / "network.safetensors")
-    program = (STUCK if frees_the_interpreter else "") + "from koop_service.cli import main; main()"
     options = ["--listen", "tcp/127.0.0.1:0", "--models", f"cart*={model}", f"far*={network}"]
     options += ["--state-folder", str(tmp_path / "state"), "--stuck-after", "2"]
-    pipe = subprocess.PIPE
-    process = subprocess.Popen(
-        [sys.executable, "-c", program, *options], stdout=pipe, stderr=pipe, text=True
-    )
-    try:
-        endpoint = re.search(r"ready on (\S+)", process.stdout.readline())[1]
+    broken = STUCK if frees_the_interpreter else ""
+    with program(broken, *options) as (process, endpoint):
         # Weights on a network drive that hangs: opening them never returns, nor frees Python.
         os.remove(network)
         os.mkfifo(network)
@@ -89,10 +100,35 @@ def test_a_stuck_process_says_where_and_ends(
             assert KoopClient(session, DEADLINE).health()
             Source(session, "far/0").stream(1)
             _, told = process.communicate(timeout=DEADLINE)
-    finally:
-        process.kill()
-        process.communicate()
     assert process.returncode == (EXIT_CODE if frees_the_interpreter else 1), told
     assert ("has not turned for 2 s; the process ends" in told) == frees_the_interpreter
     assert "in step" in told  # the pipeline's own stack
     assert ("load_card" in told) != frees_the_interpreter
+
+
+BROKEN = """
+from koop_service.encoding.image_codec import ImageCodec
+from koop_service.serving.measurements import Measurements
+def fail(*_, **__):
+    raise RuntimeError("the device is gone")
+process = Measurements.process
+def break_first(self, arrivals):
+    ImageCodec.encode = fail
+    return process(self, arrivals)
+Measurements.process = break_first
+"""
+"""A device that goes when the first frame comes."""
+
+
+def test_a_process_that_cannot_encode_says_so_and_ends(tmp_path: Path, model: Path) -> None:
+    options = ["--listen", "tcp/127.0.0.1:0", "--models", f"cart*={model}"]
+    options += ["--state-folder", str(tmp_path / "state"), "--stuck-after", "8"]
+    with program(BROKEN, *options) as (process, endpoint), client(endpoint) as session:
+        koop = KoopClient(session, DEADLINE)
+        assert koop.health()[0].degraded == ()
+        Source(session, "cart/0").stream(1)
+        wait_until(lambda: koop.health()[0].degraded == (ENCODER_FAILS,), "the news")
+        _, told = process.communicate(timeout=DEADLINE)
+    assert process.returncode == EXIT_CODE, told
+    assert "the device is gone" in told
+    assert "nothing could be encoded for 8 s; the process ends" in told

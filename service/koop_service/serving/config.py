@@ -217,8 +217,8 @@ class MonitoringSettings:
     log_level: Literal["debug", "info", "warning", "error"] = "info"
     """Least severe log lines shown."""
     stuck_after: float = 60.0
-    """Time without a turn of the pipeline after which it is taken for stuck and every thread's
-    stack is logged [s], 2 or more; 0 never looks."""
+    """Time without a turn of the pipeline, or in which nothing could be encoded, after which it is
+    taken for stuck and every thread's stack is logged [s], 2 or more; 0 never looks."""
     exit_when_stuck: bool = True
     """End a stuck process, for its supervisor to start anew: it answers nobody and holds its
     sources back, while a new one continues from the last snapshots."""
