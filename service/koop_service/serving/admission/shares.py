@@ -23,7 +23,7 @@ costs these little; or, where none come, with all that it may have once so much 
 _SPARED = 0.02
 """Of several that go with others' frames at once, all but the first need so much saved [s]: two
 would make them wait longer than one does."""
-_TOGETHER = 5
+_TOGETHER = 20
 """All strangers together go so many times faster: a thousand trajectories may begin on one link,
 which waits as a whole."""
 _OTHERS, _AT_MOST = 9.0, 0.3

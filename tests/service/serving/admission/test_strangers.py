@@ -31,11 +31,11 @@ def test_strangers_come_a_few_at_a_time() -> None:
     for _ in range(20):
         bench.put("a")
         assert [name[0] for name in bench.take()] == ["a", "n"], "one goes with another's frame"
-        bench.now += 0.004
+        bench.now += 0.001
         few = bench.take()
         assert 1 <= len(few) <= 4
         assert bench.take() == []
-        bench.now += 0.011
+        bench.now += 0.014
     left = len(bench.turns)
     for _ in range(10):
         bench.now = bench.turns.ready_at(bench.now)
@@ -44,7 +44,7 @@ def test_strangers_come_a_few_at_a_time() -> None:
 
 
 def test_strangers_are_not_kept_out_by_those_who_are_always_there() -> None:
-    """Five hundred a second where these leave some time, else one with each of their frames."""
+    """Two thousand a second where these leave some time, else one with each of their frames."""
     bench, got = Bench(messages=1 << 16), Counter()
     strangers(bench)
     for _ in range(100):
