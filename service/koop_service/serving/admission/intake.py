@@ -87,8 +87,9 @@ class Intake(Generic[Q]):
                 self._space.wait_for(lambda: self._closed or not self._turns.is_full(lane, size))
             if self._closed:
                 return False
-            self._turns.add(Arrival(key, data, self._next_ticket(), fault, at=now))
-            self._work.notify()
+            arrival = Arrival(key, data, self._next_ticket(), fault, at=now)
+            if self._turns.add(arrival):  # else nobody is woken in vain, here neither
+                self._work.notify()
         return True
 
     def ask(self, query: Q, size: int = 0, kind: str = "") -> bool:
@@ -108,6 +109,8 @@ class Intake(Generic[Q]):
         with self._lock:
             self._unanswered[kind] -= 1
             self._query_bytes[kind] -= size
+            if len(self._turns) and not self._is_asked():
+                self._work.notify()
 
     def notice(self, presence: Presence) -> None:
         """Add that an owner came or went; never blocks, and is never refused."""
@@ -127,13 +130,13 @@ class Intake(Generic[Q]):
         deadline = now + timeout
         with self._lock:
             while not self._has_work(now) and now < deadline:
-                self._work.wait(min(deadline, self._turns.ready_at(now)) - now)
+                self._work.wait(min(deadline, self._ready_at(now)) - now)
                 now = time.monotonic()
 
     def take(self, count: int) -> list[Arrival]:
         """Measurements in turn, at most `count`."""
         with self._lock:
-            return self._taken(self._turns.take(count, time.monotonic()))
+            return self._taken(self._turns.take(count, time.monotonic(), self._is_asked()))
 
     def worked(self, batch: list[Arrival], seconds: float) -> None:
         """Say how long [s] what `take` gave has taken; strangers wait accordingly."""
@@ -187,7 +190,13 @@ class Intake(Generic[Q]):
 
     def _has_work(self, now: float) -> bool:
         others = (self._queries, self._presences, self._news)
-        return self._closed or any(others) or self._turns.ready_at(now) <= now
+        return self._closed or any(others) or self._ready_at(now) <= now
+
+    def _ready_at(self, now: float) -> float:
+        return self._turns.ready_at(now, self._is_asked())
+
+    def _is_asked(self) -> bool:
+        return any(self._unanswered.values())
 
     def _next_ticket(self) -> int:
         self._tickets += 1

@@ -33,8 +33,9 @@ _FEW, _SHORT = 4, 0.0005
 """While others are active, so many strangers are taken at once, or as few as were done in so short
 a time [s], where no other is to be taken: who comes meanwhile waits for no more. ..."""
 _LONELY = 0.02
-"""... Where even one took longer, they go with others' frames; one alone where none of these come
-for so long [s]."""
+"""... Where even one took longer, or somebody waits for an answer, they go with others' frames; by
+themselves where none of these come for so long [s]. An answer is sent by another thread, which gets
+the interpreter only after them."""
 _ACTIVE = 1.0
 """How long after its last measurement a share still counts as active [s]."""
 
@@ -100,10 +101,9 @@ class Paces:
         """Strangers that may be taken at once, by themselves, while others are active."""
         return _FEW if self._stranger * _FEW <= _SHORT else int(_SHORT / self._stranger)
 
-    @property
-    def patience(self) -> float:
-        """How long one that costs much waits for company [s]."""
-        return 0.0 if self.few else _LONELY
+    def patience(self, asked: bool) -> float:
+        """How long they wait for company [s]; `asked`: somebody waits for an answer."""
+        return 0.0 if self.few and not asked else _LONELY
 
     def note(self, name: str, at: float) -> None:
         """The share got something."""

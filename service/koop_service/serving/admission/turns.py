@@ -19,6 +19,9 @@ from koop_service.serving.admission.shares import Paces, Share
 _NEVER = float("inf")
 _COMPANY = 4
 """One stranger goes with the known ones' frames, or with so many of these one each."""
+_LATE = 0.0005
+"""... But with a few of which one has waited so long [s] for others only where the strangers have
+waited too: it would be later still."""
 _PART = 8
 """A share has at most this part of the room, where that is more than the least."""
 _LEAST_MESSAGES, _LEAST_SIZE = 64, 1 << 20
@@ -43,6 +46,7 @@ class Turns:
         self._lanes: dict[str, deque[Arrival]] = {}
         self._shares: OrderedDict[str, Share] = OrderedDict()  # the first one's turn is next
         self._paces = Paces()
+        self._settled = False  # some lane has, since the last `add`
         self._messages = 0
         self._size = 0
 
@@ -63,40 +67,51 @@ class Turns:
             share.messages, share.size + size, *self._part
         )
 
-    def add(self, arrival: Arrival) -> None:
-        """Let it wait for its turn."""
+    def add(self, arrival: Arrival) -> bool:
+        """Let it wait for its turn; whether that may come before the time that `ready_at` told.
+
+        It cannot where others of its share wait: their turn comes first.
+        """
         lane, size = lane_of(arrival.key), len(arrival.data)
         arrival.share = self._share_of(lane)
         self._lanes.setdefault(lane, deque()).append(arrival)
-        self._shares.setdefault(arrival.share, Share()).add(arrival)
+        share = self._shares.setdefault(arrival.share, Share())
+        share.add(arrival)
         self._messages, self._size = self._messages + 1, self._size + size
         self._paces.note(arrival.share, arrival.at)
+        sooner, self._settled = self._settled or share.messages == 1, False
+        return sooner
 
     def hurry(self) -> None:
         """From now on nobody keeps a pace: nothing more comes, and all is to be taken."""
         self._paces.end()
 
-    def ready_at(self, now: float) -> float:
-        """When `take` next gives something; infinity where nothing waits."""
+    def ready_at(self, now: float, asked: bool = False) -> float:
+        """When `take` next gives something; infinity where nothing waits.
+
+        asked: somebody waits for an answer.
+        """
         if not self._paces.are_kept(now):
             return now if self._messages else _NEVER
         soonest = _NEVER
         for name, share in self._shares.items():
             if share.messages:
-                patience = self._paces.patience if name == STRANGERS else 0.0
+                patience = self._paces.patience(asked) if name == STRANGERS else 0.0
                 soonest = min(soonest, self._paces.turn_of(name, share) + patience)
                 if soonest <= now:
                     break
         return soonest
 
-    def take(self, count: int, now: float) -> list[Arrival]:
+    def take(self, count: int, now: float, asked: bool = False) -> list[Arrival]:
         """At most `count`, one of each share after the other's, and the strangers with them."""
         if not self._paces.are_kept(now):
             return self._take_round(count, now, lambda *_: True)
         batch = self._take_round(count, now, self._may)
         if any(arrival.is_frame for arrival in batch):
-            return batch + self._take_strangers(max(1, len(batch) // _COMPANY), 0.0, now)
-        return batch or self._take_strangers(max(1, self._paces.few), self._paces.patience, now)
+            patience = self._paces.patience(asked=True) if _is_late(batch, now) else 0.0
+            return batch + self._take_strangers(max(1, len(batch) // _COMPANY), patience, now)
+        few, patience = max(1, self._paces.few), self._paces.patience(asked)
+        return batch or self._take_strangers(few, patience, now)
 
     def take_of(self, lane: str, before: int, count: int, now: float) -> list[Arrival]:
         """The oldest of one lane with a ticket below `before`, out of turn."""
@@ -149,6 +164,7 @@ class Turns:
         Left with the strangers, it would keep their one pace as long as some of it waits there: for
         ever, where several sources begin at once.
         """
+        self._settled = True
         strangers, own = self._shares[STRANGERS], self._shares.setdefault(lane, Share())
         strangers.give_up(waiting)
         for arrival in waiting:
@@ -213,6 +229,11 @@ class Turns:
         self._shares[arrival.share].discount(arrival)
         self._messages, self._size = self._messages - 1, self._size - len(arrival.data)
         return arrival
+
+
+def _is_late(batch: list[Arrival], now: float) -> bool:
+    """Whether these are few, and one has waited already."""
+    return len(batch) < _COMPANY and now - min(arrival.at for arrival in batch) > _LATE
 
 
 def _exceeds(messages: int, size: int, max_messages: int, max_size: int) -> bool:

@@ -22,9 +22,9 @@ from koop_service.serving.trajectories.sealing import seal
 
 log = logging.getLogger("koop.snapshots")
 
-_AT_A_STRETCH = 0.0005
-"""Time for which snapshots are packed before the pipeline's thread has as long [s]: they share one
-interpreter, and it would wait for this thread at each of an encoder's layers."""
+_AT_A_STRETCH, _REST = 0.0002, 4.0
+"""Time for which snapshots are packed [s] before the pipeline's thread has so many times as long:
+they share one interpreter, and it would wait for this thread at each of an encoder's layers."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -170,7 +170,7 @@ class Keeper:
             sealed[name] = seal(dict(snapshot.record))
             worked = self._clock() - started
             if worked >= _AT_A_STRETCH and not self._stopping:
-                time.sleep(worked)
+                time.sleep(_REST * worked)
                 started = self._clock()
         return sealed
 

@@ -18,9 +18,12 @@ from koop_service.serving.trajectories.records import snapshot_of
 from koop_service.serving.trajectories.registry import Registry
 from koop_service.serving.trajectories.trajectory import Trajectory
 
-_LEAST, _MOST, _PART = 0.0005, 0.002, 0.07
+_LEAST, _MOST, _PART = 0.0002, 0.002, 0.07
 """Time for copies between two batches [s]: this part of what has passed since the last ones, so
 that who comes meanwhile waits for little, and a busy service is done with them in time."""
+_BETWEEN = 0.001
+"""Pause between two such times where nothing else is to be done [s]: without one, Zenoh's threads
+would wait for the interpreter until the last copy, and a frame with them."""
 _LEAVING = 1024
 """Trajectories that may have left memory without being on disk; further ones wait for the disk."""
 _LONG, _STORING = 3600.0, 0.02
@@ -74,7 +77,7 @@ class Snapshotter:
     def pause(self) -> float:
         """Time until `step` has something to do [s]."""
         if self._due:
-            return 0.0
+            return max(0.0, self._copied + _BETWEEN - self._clock())
         if not self._every:
             return _LONG
         return max(0.0 if self._keeper.is_idle else _STORING, self._next - self._clock())
@@ -149,7 +152,8 @@ class Snapshotter:
 
     def _begin(self) -> None:
         self._is_first = False
-        self._next = self._clock() + self._every
+        self._copied = self._clock()
+        self._next = self._copied + self._every
         self._keeper.wait()
         failed = self._settle()
         changed = dict.fromkeys([*self._due, *failed, *self._changed])

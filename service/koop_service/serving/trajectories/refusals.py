@@ -49,6 +49,8 @@ class Refusals:
         return self._last.get(lane)
 
     def _remember(self, lane: str, error: ProtocolError) -> None:
+        # Where it was raised is of no use any more, and holds the message's bytes.
+        error.__traceback__ = error.__cause__ = error.__context__ = None
         self._last[lane] = error
         self._last.move_to_end(lane)
         if len(self._last) > _REMEMBERED:

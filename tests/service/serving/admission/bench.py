@@ -22,10 +22,12 @@ class Bench:
 
     def put(self, name: str, data: bytes = b"x", kind: str = "frame") -> bool:
         """False, and nothing happens, where it would have to wait outside."""
+        told = self.turns.ready_at(self.now)
         if self.turns.is_full(name, len(data)):
             return False
         key = f"koop/{kind}/00/{name}"
-        self.turns.add(Arrival(key, data, next(self.tickets), at=self.now))
+        sooner = self.turns.add(Arrival(key, data, next(self.tickets), at=self.now))
+        assert sooner or max(self.turns.ready_at(self.now), self.now) >= told, "nobody is woken"
         return True
 
     def take(self, most: int = BATCH) -> list[str]:

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import threading
+import time
 
 import pytest
 
+from koop_service.serving.admission import shares
 from koop_service.serving.admission.arrivals import Arrival
 from koop_service.serving.admission.intake import Intake
 
@@ -122,3 +124,24 @@ def test_closing_lets_a_held_source_go() -> None:
     source.join(10)
     assert results == [False]
     assert not queue.ask("x")
+
+
+def test_strangers_come_as_soon_as_the_last_question_is_answered(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(shares, "_LONELY", 1e6)
+    queue: Intake[str] = Intake(100, 10_000, 3, known=lambda lane: lane == "a")
+    queue.put(key("a"), b"x")
+    queue.put(key("nobody"), b"y")
+    assert names(queue.take(9)) == [b"x", b"y"]
+    queue.put(key("nobody"), b"z")
+    assert queue.ask("question")
+    queue.take_queries()
+    queue.wait(0.01)
+    assert queue.take(9) == []
+    answering, start = threading.Timer(0.01, queue.answered), time.monotonic()
+    answering.start()
+    queue.wait(60.0)
+    assert time.monotonic() - start < 50.0, "it is woken"
+    assert names(queue.take(9)) == [b"z"]
+    answering.join()

@@ -170,3 +170,55 @@ def test_what_waits_of_a_stranger_that_becomes_known_leaves_room_for_the_others(
     assert not bench.put("a")
     assert bench.put("b")
     assert len(bench.turns) == 257
+
+
+def test_what_waits_of_one_that_has_become_known_is_told_of_at_once() -> None:
+    """`Bench.put` checks it: who waits for the strangers' turn would come later."""
+    bench = Bench()
+    bench.known = {"a"}
+    for name in ("a", "b", "b"):
+        bench.put(name)
+    assert bench.take() == ["a", "b"]
+    assert bench.turns.ready_at(bench.now) > bench.now
+    bench.known.add("b")
+    bench.put("b")
+    assert bench.take() == ["b", "b"]
+
+
+def test_strangers_do_not_go_before_an_answer() -> None:
+    """Nor are they kept out by who always asks."""
+    bench = Bench()
+    strangers(bench)
+    bench.put("a")
+    assert bench.take() == ["a", "nobody/0"]
+    bench.now += 0.01
+    assert bench.turns.ready_at(bench.now) <= bench.now, "nobody asks"
+    assert bench.turns.ready_at(bench.now, asked=True) > bench.now
+    assert bench.turns.take(BATCH, bench.now, asked=True) == []
+    bench.now = bench.turns.ready_at(bench.now, asked=True)
+    assert bench.now < NOW + 0.03
+    assert len(bench.turns.take(BATCH, bench.now, asked=True)) == 4
+
+
+def test_a_frame_that_has_waited_takes_no_stranger_along_that_has_not() -> None:
+    bench = Bench()
+    strangers(bench)
+    got = []
+    for _ in range(20):
+        bench.put("a")
+        bench.now += 0.001
+        got.append("".join(name[0] for name in bench.take()))
+        bench.now += 0.01
+    assert got[:2] == ["a", "a"]
+    assert 6 <= got.count("an") <= 10, "one in 20 ms"
+    assert set(got) == {"a", "an"}
+
+
+def test_many_frames_take_strangers_along_though_they_have_waited() -> None:
+    bench = Bench()
+    strangers(bench)
+    bench.known |= {"b", "c", "d"}
+    for name in "abcd":
+        bench.put(name)
+    bench.now += 0.01
+    assert [name[0] for name in bench.take()] == ["a", "b", "c", "d", "n"]

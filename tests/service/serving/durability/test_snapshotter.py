@@ -149,6 +149,18 @@ def test_many_are_copied_a_few_at_a_time(tmp_path: Path, model: Path) -> None:
         assert bench.store.events.count("saved") == 1, "one transaction a round"
 
 
+def test_between_two_copies_somebody_else_may_run(tmp_path: Path, model: Path) -> None:
+    with bench_in(tmp_path, model) as bench:
+        bench.fold(*range(50))
+        bench.now += 3.0
+        bench.snapshots.step()
+        bench.snapshots.step()
+        assert bench.snapshots.is_busy
+        assert 0.0 < bench.snapshots.pause() <= 0.001
+        bench.now += 0.001
+        assert bench.snapshots.pause() == 0.0
+
+
 def test_what_changes_while_it_is_due_is_stored_as_it_is_when_copied(
     tmp_path: Path, model: Path
 ) -> None:

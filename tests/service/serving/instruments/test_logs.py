@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import json
 import logging
+import sys
 
-from koop_protocol import ErrorCode, ProtocolError
+from koop_protocol import ErrorCode, Limits, ProtocolError
+from koop_service.serving.admission.arrivals import Arrival
+from koop_service.serving.admission.reading import read
 from koop_service.serving.instruments.logs import Brake, JsonFormatter, TextFormatter
 from koop_service.serving.instruments.metrics import Metrics
 from koop_service.serving.trajectories.refusals import Refusals
@@ -68,3 +71,17 @@ def test_rejections_are_counted_all_logged_once_and_remembered(caplog) -> None:
     assert len(caplog.records) == 1
     assert refusals.last("cart/2999").problem == "problem 2999"
     assert refusals.last("cart/0") is None, "memory must stay bounded"
+
+
+def test_what_is_remembered_of_a_message_is_not_its_bytes() -> None:
+    """A thousand messages of four megabytes, each rejected under another name, are four GB."""
+    data, refusals = bytes(range(256)) * 100, Refusals(Metrics(), Brake(Clock()))
+    held = sys.getrefcount(data)
+    arrival = Arrival("koop/frame/00/cart/0", data, 0)
+    try:
+        read(arrival, Limits())
+    except ProtocolError as error:
+        refusals.note("cart/0", error)
+    del arrival
+    assert sys.getrefcount(data) == held
+    assert refusals.last("cart/0") is not None
