@@ -215,7 +215,7 @@ def flood(endpoint: str, kind: Any, stop: Any, results: Any) -> None:
 
     Only while nobody else wants the processor: a real flood comes from another machine. The lowest
     priority is not enough: even such a process runs for some milliseconds before Linux gives the
-    processor to one that wakes, and costs the others half of their p99 without a single message.
+    processor to one that wakes, and costs the others about as much as a flood.
     """
     if hasattr(os, "SCHED_IDLE"):
         os.sched_setscheduler(0, os.SCHED_IDLE, os.sched_param(0))

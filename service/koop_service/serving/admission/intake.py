@@ -109,7 +109,7 @@ class Intake(Generic[Q]):
         with self._lock:
             self._unanswered[kind] -= 1
             self._query_bytes[kind] -= size
-            if len(self._turns) and not self._is_asked():
+            if len(self._turns) and not self.unanswered:
                 self._work.notify()
 
     def notice(self, presence: Presence) -> None:
@@ -136,7 +136,7 @@ class Intake(Generic[Q]):
     def take(self, count: int) -> list[Arrival]:
         """Measurements in turn, at most `count`."""
         with self._lock:
-            return self._taken(self._turns.take(count, time.monotonic(), self._is_asked()))
+            return self._taken(self._turns.take(count, time.monotonic(), self.unanswered > 0))
 
     def worked(self, batch: list[Arrival], seconds: float) -> None:
         """Say how long [s] what `take` gave has taken; strangers wait accordingly."""
@@ -193,10 +193,7 @@ class Intake(Generic[Q]):
         return self._closed or any(others) or self._ready_at(now) <= now
 
     def _ready_at(self, now: float) -> float:
-        return self._turns.ready_at(now, self._is_asked())
-
-    def _is_asked(self) -> bool:
-        return any(self._unanswered.values())
+        return self._turns.ready_at(now, self.unanswered > 0)
 
     def _next_ticket(self) -> int:
         self._tickets += 1
