@@ -16,11 +16,10 @@ def fold(model: Autoencoder) -> tuple[nn.Module, nn.Module]:
     decoder = nn.Sequential(*(_fold_decoder_block(block) for block in model.decoder))
     for part in (encoder, decoder):
         part.eval().requires_grad_(False)
-        part.to(memory_format=torch.channels_last)  # pyright: ignore[reportCallIssue]
     return encoder, decoder
 
 
-class _SignedPool(nn.Module):
+class SignedPool(nn.Module):
     """Max-pooling of channels whose normalisation had a negative scale: the sign acts after it."""
 
     def __init__(self, pool: nn.Module, sign: Tensor, shift: Tensor) -> None:
@@ -45,7 +44,7 @@ def _fold_encoder_block(block: nn.Module) -> nn.Module:
         return nn.Sequential(folded, pool, *activation)
     # max(s x) = s max(x) only for s >= 0.
     folded.bias = nn.Parameter(bias * scale.abs())
-    return nn.Sequential(folded, _SignedPool(pool, scale.sign(), shift), *activation)
+    return nn.Sequential(folded, SignedPool(pool, scale.sign(), shift), *activation)
 
 
 def _fold_decoder_block(block: nn.Module) -> nn.Module:

@@ -1,16 +1,17 @@
 """The architecture, and that what inference runs is what was trained."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
 from torch import nn
 
-from koop_service.encoding import image_codec
+from koop_service.encoding import image_codec, inference
 from koop_service.encoding.architecture import FLOW, PAPER, Architecture
 from koop_service.encoding.autoencoder import channels_first, initialised
 from koop_service.encoding.folding import fold
 from koop_service.encoding.image_codec import ImageCodec
-from koop_service.encoding.packing import HalvingPool, PackedConv, pack
 from koop_service.encoding.weights import ModelCard
 
 CARD = ModelCard(system="test", renderer="none", dt=0.05)
@@ -72,29 +73,42 @@ def test_folding_keeps_the_function(seed, shape, architecture):
     assert not any(isinstance(m, nn.BatchNorm2d) for m in (*encoder.modules(), *decoder.modules()))
 
 
-@pytest.mark.parametrize(("shape", "architecture"), [((64, 64), PAPER), (FIELD, FLOW)])
-def test_packing_keeps_the_bits(shape, architecture):
-    encoder, _ = fold(lived_in(6, shape, architecture))
-    images = torch.rand(4, *channels_first(shape)).contiguous(memory_format=torch.channels_last)
-    expected = encoder(images)
-    packed = pack(encoder)
-    if torch.backends.mkldnn.is_available():
-        kinds = {type(layer) for layer in packed.modules()}
-        assert kinds > {PackedConv, HalvingPool}
-        assert nn.Conv2d not in kinds
-    for count in (4, 2, 4):
-        assert torch.equal(packed(images[:count]), expected[:count])
+@pytest.mark.parametrize(
+    ("shape", "architecture"), [((64, 64), PAPER), (FIELD, FLOW), ((2, 32, 96), Architecture((8,)))]
+)
+def test_a_processor_computes_what_torch_does(shape, architecture):
+    model = lived_in(6, shape, architecture)
+    card = replace(CARD, image_shape=shape, architecture=architecture, value_range=(-1e9, 1e9))
+    codec = ImageCodec(model, card)
+    assert codec.computed_by.startswith("onnxruntime ")
+    images = np.random.default_rng(0).random((3, *shape), np.float32)
+    with torch.inference_mode():
+        codes = model.encode(torch.tensor(images).reshape(3, *channels_first(shape)))
+        decoded = model.decode(codes).reshape(images.shape)
+    np.testing.assert_allclose(codec.encode(images), codes, rtol=1e-4, atol=1e-5)
+    np.testing.assert_allclose(codec.decode(codes.numpy()), decoded, rtol=1e-4, atol=1e-4)
 
 
-def test_where_a_picture_alone_rounds_differently_it_is_padded(monkeypatch):
-    images = pictures(1)
-    expected = ImageCodec(lived_in(3), CARD).encode(images)
-    monkeypatch.setattr(image_codec, "pack", lambda encoder: encoder)  # torch's own kernels do
-    codec, sizes = ImageCodec(lived_in(3), CARD), []
-    codec._encoder.register_forward_pre_hook(lambda _, inputs: sizes.append(len(inputs[0])))
-    assert np.array_equal(codec.encode(images), expected)
-    assert sizes in ([1], [2])
-    assert sizes == [2] or codec._encodes_alone
+def test_a_layer_that_no_folded_network_has_is_told():
+    with pytest.raises(TypeError, match="no folded network has a layer Sigmoid"):
+        inference.prepare(nn.Sequential(nn.Sigmoid()), (1, 64, 64), torch.device("cpu"))
+
+
+@pytest.mark.parametrize("differs", [False, True])
+def test_where_a_picture_alone_rounds_differently_it_is_padded(monkeypatch, differs):
+    sizes = []
+
+    def network(inputs):
+        """Of means, which a picture alone may have from another kernel."""
+        sizes.append(len(inputs))
+        means = inputs.mean((2, 3)) + (1e-7 if differs and len(inputs) == 1 else 0.0)
+        return np.repeat(means, 8, 1).astype(np.float32)
+
+    monkeypatch.setattr(image_codec, "prepare", lambda *_: network)
+    codec, images = ImageCodec(lived_in(3), CARD), pictures(2)
+    sizes.clear()
+    assert np.array_equal(codec.encode(images[:1]), codec.encode(images)[:1])
+    assert sizes == [2 if differs else 1, 2]
 
 
 def test_a_codes_bits_do_not_depend_on_the_batch_it_rode_in():
