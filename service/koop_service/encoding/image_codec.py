@@ -4,30 +4,31 @@ from __future__ import annotations
 
 import math
 from concurrent.futures import ThreadPoolExecutor
-from functools import cache
+from functools import cache, partial
 
 import numpy as np
 import torch
+from torch import nn
 
 from koop_service.encoding.autoencoder import Autoencoder, channels_first
 from koop_service.encoding.folding import fold
 from koop_service.encoding.inference import Network, computed_by, prepare
 from koop_service.encoding.weights import ModelCard
 
-# Values of the frames in a batch. On a processor more do not fit the second-level cache, and are
-# slower: 16 pictures of 64 x 64. A larger frame goes alone.
-_CPU_BATCH, _GPU_BATCH = 16 * 64 * 64, 1024 * 64 * 64
+_CPU_BATCH, _GPU_BATCH = 16 * 64 * 64, 128 * 64 * 64
+"""Values of the frames in a batch. On a processor more do not fit the second-level cache, and are
+no faster: 16 pictures of 64 x 64. A larger frame goes alone."""
 _WORTH_HALVING = 8
-"""Frames from which on two threads, each with half of them, are faster than one. Torch's own
-threads hardly are, on networks as small as these."""
+"""Frames from which on two threads, each with half of them, are faster than one."""
 
 
 class ImageCodec:
     """Encoder and decoder of one model on one device.
 
-    A code's bits must not depend on the batch that its frame rode in. One alone may take another
-    kernel and round differently: where it does, it is padded, except where all go alone. Another
-    version of a library or another device may round differently: `computed_by` names them.
+    A code's bits must not depend on the batch that its frame rode in, but batches of other sizes
+    may take other kernels, and round differently. On a GPU every batch is therefore padded to the
+    same size; on a processor one alone is, where it would differ. Another version of a library or
+    another device may round differently: `computed_by` names them.
     """
 
     def __init__(self, model: Autoencoder, card: ModelCard, device: str = "cpu") -> None:
@@ -43,9 +44,8 @@ class ImageCodec:
         values = _CPU_BATCH if self._on_cpu else _GPU_BATCH
         self._largest = max(1, values // math.prod(card.image_shape))
         encoder, decoder = fold(model)
-        self._encoder = prepare(encoder, self._channels_first, place)
-        self._decoder = prepare(decoder, (card.code_size, 1, 1), place)
-        self._encodes_alone = self._same_alone()
+        self._encoder = self._prepare(encoder, self._channels_first, place)
+        self._decoder = self._prepare(decoder, (card.code_size, 1, 1), place)
 
     def encode(self, images: np.ndarray, *, hurried: bool = False) -> np.ndarray:
         """Codes (B, n) float64 of images (B, H, W) or (B, C, H, W): floats, or uint8 in 255ths.
@@ -68,8 +68,7 @@ class ImageCodec:
         return True
 
     def _encode(self, images: np.ndarray) -> np.ndarray:
-        inputs = images.reshape(-1, *self._channels_first)
-        codes = self._in_batches(self._encoder, inputs, alone=self._encodes_alone)
+        codes = self._encoder(images.reshape(-1, *self._channels_first))
         return codes.reshape(len(images), self.code_size).astype(np.float64)
 
     def decode(self, codes: np.ndarray, dtype: type | np.dtype = np.float32) -> np.ndarray:
@@ -77,27 +76,37 @@ class ImageCodec:
 
         For uint8 that is [0, 255].
         """
-        inputs = codes.astype(np.float32)[:, :, None, None]
-        images = self._in_batches(self._decoder, inputs)
+        images = self._decoder(codes.astype(np.float32)[:, :, None, None])
         images = images.reshape(len(codes), *self.image_shape).clip(*self.value_range)
         if np.dtype(dtype) == np.uint8:
             images = np.rint(images * 255)
         return images.astype(dtype)
 
-    def _same_alone(self) -> bool:
-        """Whether the encoder's kernels give a picture alone the bits that it has among two."""
-        pictures = np.random.default_rng(0).random((2, *self._channels_first), np.float32)
-        both, alone = (
-            self._in_batches(self._encoder, p, alone=True) for p in (pictures, pictures[:1])
-        )
-        return np.array_equal(both[:1], alone)
+    def _prepare(
+        self, network: nn.Module, inputs: tuple[int, int, int], device: torch.device
+    ) -> Network:
+        """The network for any number of inputs (C, H, W)."""
+        prepared = prepare(network, inputs, device)
+        least = 1 if self._on_cpu and _same_alone(prepared, inputs) else 2
+        least = min(least, self._largest) if self._on_cpu else self._largest
+        return partial(_in_batches, prepared, least, self._largest)
 
-    def _in_batches(self, network: Network, inputs: np.ndarray, alone: bool = False) -> np.ndarray:
-        count = len(inputs)
-        if count % self._largest == 1 and not alone:
-            inputs = np.concatenate([inputs, inputs[-1:]])
-        starts = range(0, len(inputs), self._largest)
-        return np.concatenate([network(inputs[i : i + self._largest]) for i in starts])[:count]
+
+def _same_alone(network: Network, inputs: tuple[int, int, int]) -> bool:
+    """Whether the processor's kernels give one alone the bits that it has among two."""
+    two = np.random.default_rng(0).random((2, *inputs), np.float32)
+    return np.array_equal(network(two)[:1], network(two[:1]))
+
+
+def _in_batches(network: Network, least: int, largest: int, inputs: np.ndarray) -> np.ndarray:
+    """The network's answers to inputs (B, C, H, W), between `least` and `largest` at once."""
+    parts = []
+    for start in range(0, len(inputs), largest):
+        batch = inputs[start : start + largest]
+        padding = batch[-1:].repeat(max(0, least - len(batch)), 0)
+        answers = network(np.concatenate([batch, padding]) if len(padding) else batch)
+        parts.append(answers[: len(batch)])
+    return np.concatenate(parts)
 
 
 @cache

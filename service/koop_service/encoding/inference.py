@@ -43,7 +43,9 @@ def _by_torch(network: nn.Module, device: torch.device) -> Network:
     placed = network.to(device, memory_format=torch.channels_last)  # pyright: ignore[reportCallIssue]
 
     def run(inputs: NDArray[Any]) -> NDArray[np.float32]:
-        with torch.inference_mode():
+        # Not ten bits of mantissa (TF32), which is torch's choice for convolutions.
+        exact = torch.backends.cudnn.flags(enabled=True, deterministic=True, allow_tf32=False)
+        with torch.inference_mode(), exact:
             pixels = torch.tensor(inputs).to(device, torch.float32)
             if inputs.dtype == np.uint8:
                 pixels.mul_(1 / 255)

@@ -94,21 +94,37 @@ def test_a_layer_that_no_folded_network_has_is_told():
         inference.prepare(nn.Sequential(nn.Sigmoid()), (1, 64, 64), torch.device("cpu"))
 
 
-@pytest.mark.parametrize("differs", [False, True])
-def test_where_a_picture_alone_rounds_differently_it_is_padded(monkeypatch, differs):
-    sizes = []
+@pytest.mark.parametrize("dtype", [np.uint8, np.float32])
+def test_torch_and_onnx_runtime_compute_the_same(dtype):
+    encoder, _ = fold(lived_in(7))
+    images = pictures(3)[:, None] if dtype == np.uint8 else np.float32(pictures(3)[:, None] / 255)
+    torchs = inference._by_torch(encoder, torch.device("cpu"))(images)
+    others = inference._by_onnxruntime(encoder, (1, 64, 64))(images)
+    np.testing.assert_allclose(torchs, others, rtol=1e-4, atol=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("device", "differs", "sizes"),
+    [
+        ("cpu", lambda _: 0.0, [1, 16, 1]),
+        ("cpu", lambda size: size == 1, [2, 16, 2]),
+        ("cuda", lambda size: size, [128, 128]),
+    ],
+)
+def test_batches_of_a_size_that_rounds_differently_are_padded(monkeypatch, device, differs, sizes):
+    got = []
 
     def network(inputs):
-        """Of means, which a picture alone may have from another kernel."""
-        sizes.append(len(inputs))
-        means = inputs.mean((2, 3)) + (1e-7 if differs and len(inputs) == 1 else 0.0)
+        """Of means, which a batch of another size may have from another kernel."""
+        got.append(len(inputs))
+        means = inputs.mean((2, 3)) * (1 + 1e-3 * differs(len(inputs)))
         return np.repeat(means, 8, 1).astype(np.float32)
 
     monkeypatch.setattr(image_codec, "prepare", lambda *_: network)
-    codec, images = ImageCodec(lived_in(3), CARD), pictures(2)
-    sizes.clear()
-    assert np.array_equal(codec.encode(images[:1]), codec.encode(images)[:1])
-    assert sizes == [2 if differs else 1, 2]
+    codec, images = ImageCodec(lived_in(3), CARD, device), pictures(17)
+    got.clear()
+    assert np.array_equal(codec.encode(images[16:]), codec.encode(images)[16:])
+    assert got == sizes
 
 
 def test_a_codes_bits_do_not_depend_on_the_batch_it_rode_in():
