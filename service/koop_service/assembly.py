@@ -98,7 +98,7 @@ def equip(config: ServiceConfig) -> Equipment:
         config.limits.max_trajectories,
         config.compute.device,
     )
-    _prepare(registry, catalogue, config.compute.batch)
+    _prepare(registry, catalogue)
     return Equipment(catalogue, metrics, refusals, registry)
 
 
@@ -261,8 +261,8 @@ def _catalogue(config: ServiceConfig) -> Catalogue:
     return catalogue
 
 
-def _prepare(registry: Registry, catalogue: Catalogue, batch: int) -> None:
+def _prepare(registry: Registry, catalogue: Catalogue) -> None:
     """Load what the first frame would have to wait for."""
     for entry in catalogue.entries[:1]:
-        rehearse(*registry.equipment(entry, control_size=1), batch)
+        rehearse(*registry.equipment(entry, control_size=1))
     settle()

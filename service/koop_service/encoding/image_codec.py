@@ -42,7 +42,7 @@ class ImageCodec:
         self._on_cpu = place.type == "cpu"
         self._channels_first = channels_first(card.image_shape)
         values = _CPU_BATCH if self._on_cpu else _GPU_BATCH
-        self._largest = max(1, values // math.prod(card.image_shape))
+        self.largest_batch = max(1, values // math.prod(card.image_shape))
         encoder, decoder = fold(model)
         self._encoder = self._prepare(encoder, self._channels_first, place)
         self._decoder = self._prepare(decoder, (card.code_size, 1, 1), place)
@@ -88,8 +88,8 @@ class ImageCodec:
         """The network for any number of inputs (C, H, W)."""
         prepared = prepare(network, inputs, device)
         least = 1 if self._on_cpu and _same_alone(prepared, inputs) else 2
-        least = min(least, self._largest) if self._on_cpu else self._largest
-        return partial(_in_batches, prepared, least, self._largest)
+        least = min(least, self.largest_batch) if self._on_cpu else self.largest_batch
+        return partial(_in_batches, prepared, least, self.largest_batch)
 
 
 def _same_alone(network: Network, inputs: tuple[int, int, int]) -> bool:

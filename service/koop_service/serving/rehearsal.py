@@ -6,8 +6,6 @@ with it.
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
 from koop_protocol import LqrQuery
@@ -21,21 +19,14 @@ from koop_service.serving.steering.courses import Course, Schedule
 from koop_service.serving.steering.fitness import judge
 from koop_service.serving.trajectories.trajectory import Posterior
 
-_REHEARSED = 64 * 64 * 64
-"""Values of the largest batch that is rehearsed: 64 pictures."""
 
-
-def rehearse(codec: ImageCodec, settings: EstimatorSettings, batch: int) -> None:
-    """Encode, learn, predict and control nothing in particular; `settings` have a control.
-
-    Batches up to `batch` frames are encoded, as far as a start can wait for them.
-    """
+def rehearse(codec: ImageCodec, settings: EstimatorSettings) -> None:
+    """Encode, learn, predict and control nothing in particular; `settings` have a control."""
     warm_up(settings)
-    batch = max(2, min(batch, _REHEARSED // math.prod(codec.image_shape)))
-    pictures = np.zeros((batch + 1, *codec.image_shape), np.float32)
-    for size in range(1, batch + 1):  # each once: the allocator then has what it will ever need
-        codec.encode(pictures[:size])
-    codec.decode(codec.encode(pictures[:2]), np.float32)
+    # The largest batch too: the allocator then has what it will ever need.
+    pictures = np.zeros((codec.largest_batch, *codec.image_shape), np.float32)
+    codec.encode(pictures[:1])
+    codec.decode(codec.encode(pictures), np.float32)
     n, h, p = settings.code_size, settings.history, settings.control_size
     bank = Bank(settings)
     lane = bank.open()

@@ -165,4 +165,4 @@ def test_one_field_or_several_are_a_target(registry: Registry) -> None:
 
 def test_a_model_of_fields_can_be_rehearsed(registry: Registry, tmp_path: Path) -> None:
     entry = ModelEntry("flow", tmp_path / "flow.safetensors", ("*",))
-    rehearse(*registry.equipment(entry, control_size=1), batch=256)
+    rehearse(*registry.equipment(entry, control_size=1))

@@ -22,7 +22,7 @@ _SAVED = 0.04
 costs these little; or, where none come, with all that it may have once so much is saved [s]."""
 _SPARED = 0.02
 """Of several that go with others' frames at once, all but the first need so much saved [s]: two
-would make them wait longer than one does."""
+would make them wait longer than one does. So does the first where one of these is late."""
 _TOGETHER = 20
 """All strangers together go so many times faster: a thousand trajectories may begin on one link,
 which waits as a whole."""
@@ -80,6 +80,26 @@ class Share:
         self.size += sign * len(arrival.data)
 
 
+@dataclass(frozen=True, slots=True)
+class Company:
+    """Who is in a batch already: so many of a share's own, so many others, and whether one of
+    those had to wait."""
+
+    mine: int
+    others: int
+    late: bool
+
+    @property
+    def costs(self) -> float:
+        """What a share with a backlog must have saved [s] for one more frame among these."""
+        if not self.mine + self.others:
+            return _SAVED
+        return _SPARED if self.others and (self.mine or self.late) else 0.0
+
+
+ALONE = Company(0, 0, False)
+
+
 @dataclass(slots=True)
 class _Activity:
     """When a share last got something, and until when it has used up its pace [s]."""
@@ -120,8 +140,8 @@ class Paces:
             self._active.popitem(last=False)
         return self._kept and len(self._active) > 1
 
-    def turn_of(self, name: str, share: Share, mine: int = 0, batch: int = 0) -> float:
-        """When the share may have its next measurement, in a batch with `mine` of its own."""
+    def turn_of(self, name: str, share: Share, company: Company = ALONE) -> float:
+        """When the share may have its next measurement, in a batch with these."""
         activity, following = self._active.get(name), share.oldest()
         if activity is None or following is None:
             return 0.0
@@ -129,7 +149,7 @@ class Paces:
             return max(activity.paid, following.at)
         if not following.is_frame:
             return activity.paid - _PACE
-        return activity.paid + (_saved(mine, batch) if share.frames > 1 else 0.0)
+        return activity.paid + (company.costs if share.frames > 1 else 0.0)
 
     def pay(self, arrival: Arrival, now: float) -> None:
         """The share has had this one."""
@@ -148,10 +168,3 @@ class Paces:
         activity = self._active.get(STRANGERS)
         if activity is not None:
             activity.paid = max(activity.paid, now + min(_OTHERS * seconds, _AT_MOST))
-
-
-def _saved(mine: int, batch: int) -> float:
-    """What a share must have saved [s] for one more frame, with `mine` in a batch of so many."""
-    if not batch:
-        return _SAVED
-    return _SPARED if 0 < mine < batch else 0.0

@@ -14,14 +14,14 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 from koop_service.serving.admission.arrivals import STRANGERS, Arrival, lane_of
-from koop_service.serving.admission.shares import Paces, Share
+from koop_service.serving.admission.shares import Company, Paces, Share
 
 _NEVER = float("inf")
 _COMPANY = 4
 """One stranger goes with the known ones' frames, or with so many of these one each."""
 _LATE = 0.0005
 """... But with a few of which one has waited so long [s] for others only where the strangers have
-waited too: it would be later still."""
+waited too, and nobody's backlog either: it would be later still."""
 _PART = 8
 """A share has at most this part of the room, where that is more than the least."""
 _LEAST_MESSAGES, _LEAST_SIZE = 64, 1 << 20
@@ -172,11 +172,11 @@ class Turns:
             own.add(arrival)
 
     def _take_round(
-        self, count: int, now: float, may: Callable[[str, int, int, float], bool]
+        self, count: int, now: float, may: Callable[[str, int, list[Arrival], float], bool]
     ) -> list[Arrival]:
         """One of each share that `may`, as long as there are any.
 
-        It is told how many of the batch are the share's own, and how many it has.
+        It is told the batch so far, and how many of it are the share's own.
         """
         batch: list[Arrival] = []
         taken: Counter[str] = Counter()
@@ -184,16 +184,18 @@ class Turns:
         while before < len(batch) < count:
             before = len(batch)
             for name in list(self._shares):
-                if len(batch) < count and may(name, taken[name], len(batch), now):
+                if len(batch) < count and may(name, taken[name], batch, now):
                     found = self._take_one(name, now)
                     taken[name] += len(found)
                     batch += found
         return batch
 
-    def _may(self, name: str, mine: int, batch: int, now: float) -> bool:
+    def _may(self, name: str, mine: int, batch: list[Arrival], now: float) -> bool:
         """Whether it is the turn of a share that keeps its pace, and not the strangers'."""
-        share = self._shares[name]
-        return name != STRANGERS and self._paces.turn_of(name, share, mine, batch) <= now
+        if name == STRANGERS:
+            return False
+        company = Company(mine, len(batch) - mine, _is_late(batch, now, but=name))
+        return self._paces.turn_of(name, self._shares[name], company) <= now
 
     def _take_strangers(self, count: int, patience: float, now: float) -> list[Arrival]:
         """So many of them, if their turn came so long [s] ago."""
@@ -231,9 +233,11 @@ class Turns:
         return arrival
 
 
-def _is_late(batch: list[Arrival], now: float) -> bool:
-    """Whether these are few, and one has waited already."""
-    return len(batch) < _COMPANY and now - min(arrival.at for arrival in batch) > _LATE
+def _is_late(batch: list[Arrival], now: float, but: str = STRANGERS) -> bool:
+    """Whether these are few, and one of another share than `but` has waited already."""
+    return len(batch) < _COMPANY and any(
+        arrival.share != but and now - arrival.at > _LATE for arrival in batch
+    )
 
 
 def _exceeds(messages: int, size: int, max_messages: int, max_size: int) -> bool:

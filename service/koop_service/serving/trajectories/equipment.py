@@ -60,10 +60,12 @@ class Equipment:
         if entry.name not in self._codecs:
             try:
                 self._codecs[entry.name] = entry.load(self._device)
-            except (ValueError, RuntimeError) as error:
+            except ValueError as error:
                 raise ProtocolError(
                     ErrorCode.no_model, f"the model {entry.name!r} cannot be loaded: {error}"
                 ) from error
+            except (RuntimeError, AssertionError) as error:  # torch's way to tell of a device
+                raise self._no_device(entry, error) from error
         return self._codecs[entry.name]
 
     def bank(self, entry: ModelEntry, settings: EstimatorSettings) -> Bank:
@@ -72,6 +74,15 @@ class Equipment:
         if key not in self._banks:
             self._banks[key] = Bank(settings)
         return self._banks[key]
+
+    def _no_device(self, entry: ModelEntry, error: Exception) -> ProtocolError:
+        reason = str(error).partition("\n")[0]
+        return ProtocolError(
+            ErrorCode.no_model,
+            f"the model {entry.name!r} cannot be loaded onto {self._device!r}: {reason}",
+            "a device that this build of torch knows, with memory to spare",
+            "see what nvidia-smi says, or start the service with '--device cpu'",
+        )
 
     def no_model(self, name: str) -> ProtocolError:
         """What to tell whoever streams or asks for a trajectory without a model."""

@@ -142,6 +142,31 @@ def test_several_go_at_once_only_where_others_come_seldom() -> None:
     assert got["flood"] >= 95
 
 
+def test_a_backlog_lets_a_frame_go_alone_that_is_late() -> None:
+    bench, got = flooded(), Counter()
+    for _ in range(100):
+        bench.now += 0.006
+        bench.put("flood")
+        bench.put("a")
+        got.update(bench.take())
+        bench.now += 0.003
+        bench.put("a")
+        bench.now += 0.001
+        assert bench.take() == ["a"]
+    assert got["flood"] >= 97, "its pace"
+
+
+def test_a_backlog_keeps_its_pace_where_all_frames_are_late() -> None:
+    bench, got = flooded(), Counter()
+    for _ in range(100):
+        bench.now += 0.009
+        bench.put("flood")
+        bench.put("a")
+        bench.now += 0.001
+        got.update(bench.take())
+    assert got["flood"] >= 95
+
+
 def test_a_backlog_waits_for_others_frames_only_until_some_is_saved() -> None:
     bench, got = flooded(), []
     for _ in range(15):

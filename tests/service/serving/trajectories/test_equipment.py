@@ -2,11 +2,12 @@
 
 import pytest
 
+from koop_protocol import ErrorCode, ProtocolError
 from koop_service.encoding.autoencoder import initialised
-from koop_service.encoding.catalogue import ModelEntry
+from koop_service.encoding.catalogue import Catalogue, ModelEntry
 from koop_service.encoding.weights import EstimatorDefaults, ModelCard, save_weights
 from koop_service.serving.config import EstimatorChoices
-from koop_service.serving.trajectories.equipment import settings_for
+from koop_service.serving.trajectories.equipment import Equipment, settings_for
 
 MEAN = tuple(tuple(0.1 * (row + column) for column in range(18)) for row in range(8))
 DEFAULTS = EstimatorDefaults(rho=0.3, forgetting=0.98, prior_mean=MEAN)
@@ -50,3 +51,12 @@ def test_a_prior_of_another_regressor_is_not_used(
     entry: ModelEntry, choices: EstimatorChoices, controls: int
 ) -> None:
     assert settings_for(entry, choices, controls).prior_mean == ()
+
+
+@pytest.mark.parametrize("device", ["gpu", "cuda:99"])
+def test_a_device_that_is_not_there_is_told(entry: ModelEntry, device: str) -> None:
+    equipment = Equipment(Catalogue([entry]), EstimatorChoices(), device)
+    told = f"'model' cannot be loaded onto '{device}': .*; expected a device .*'--device cpu'"
+    with pytest.raises(ProtocolError, match=told) as caught:
+        equipment.codec(entry)
+    assert caught.value.code == ErrorCode.no_model
