@@ -143,17 +143,19 @@ def test_several_go_at_once_only_where_others_come_seldom() -> None:
 
 
 def test_a_backlog_lets_a_frame_go_alone_that_is_late() -> None:
-    bench, got = flooded(), Counter()
+    bench, timely, late = flooded(), Counter(), Counter()
     for _ in range(100):
         bench.now += 0.006
         bench.put("flood")
         bench.put("a")
-        got.update(bench.take())
+        timely.update(bench.take())
         bench.now += 0.003
         bench.put("a")
         bench.now += 0.001
-        assert bench.take() == ["a"]
-    assert got["flood"] >= 97, "its pace"
+        late.update(bench.take())
+    assert timely["a"] == late["a"] == 100
+    assert late["flood"] <= 3, "what it had saved"
+    assert timely["flood"] >= 97, "its pace"
 
 
 def test_a_backlog_keeps_its_pace_where_all_frames_are_late() -> None:
