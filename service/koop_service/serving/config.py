@@ -128,7 +128,7 @@ class ComputeSettings:
     device: str = "cpu"
     """torch device of the encoder: cpu, cuda, cuda:1."""
     threads: int = 1
-    """Processor threads of the encoder. One core encodes about 4,000 frames a second."""
+    """Processor threads of the encoder. One core encodes about 4,500 frames a second."""
     batch: int = 64
     """Most frames encoded at once. A query waits for the batch in work, so this trades answer time
     for throughput; on a GPU 256 and more pay."""

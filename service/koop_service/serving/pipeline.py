@@ -113,7 +113,7 @@ class Pipeline:
         """Fold what logs have sent, a batch at most, and the live messages that waited for it."""
         replays, behind = self._recovery.take(self._batch), self._recovery.behind
         self._process([arrival for replay in replays for arrival in replay.arrivals])
-        # Together: to encode one frame takes half as long as to encode ten.
+        # Together: one alone takes twice as long as one more.
         self._process([arrival for replay in replays for arrival in self._recovery.finish(replay)])
         if behind and not self._recovery.behind:
             self._snapshotter.hasten()

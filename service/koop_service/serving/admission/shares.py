@@ -1,7 +1,7 @@
 """What waits of one share of the queue, and the pace that shares keep while others are active.
 
-Whoever waits for a frame in work waits for all of it, and one alone takes several times as long as
-one more in a batch. So it matters less how many frames a busy share gets than that they are not in
+Whoever waits for a frame in work waits for all of it, and one alone takes twice as long as one more
+in a batch. So it matters less how many frames a busy share gets than that they are not in
 work just when somebody else's comes: they go with others' frames.
 """
 
