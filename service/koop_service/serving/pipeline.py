@@ -20,6 +20,7 @@ from koop_service.serving.answering.desk import Desk
 from koop_service.serving.answering.questions import Question
 from koop_service.serving.durability.eviction import Eviction
 from koop_service.serving.durability.snapshotter import Snapshotter
+from koop_service.serving.instruments.logs import Brake
 from koop_service.serving.measurements import Measurements
 from koop_service.serving.monitoring.vitals import Vitals
 from koop_service.serving.replay.recovery import Recovery
@@ -37,6 +38,8 @@ _IDLE = 1.0
 """Longest sleep [s]."""
 _WAITING = 0.01
 """The same while a question waits for a trajectory to catch up [s]."""
+_AFTER_FAILURE = 0.01
+"""Pause after a turn that failed [s]: the next one may fail too."""
 
 
 class Pipeline:
@@ -65,6 +68,7 @@ class Pipeline:
         self._eviction = eviction
         self._batch = batch
         self._lost = lost
+        self._brake = Brake()
         self._stopping = threading.Event()
         self._thread = threading.Thread(target=self._run, name="koop-pipeline", daemon=True)
 
@@ -130,12 +134,14 @@ class Pipeline:
 
     def _run(self) -> None:
         while not self._stopping.is_set():
-            if not (self._desk.busy or self._recovery.is_busy):
-                self._intake.wait(self._patience())
             try:
+                if not (self._desk.busy or self._recovery.is_busy):
+                    self._intake.wait(self._patience())
                 self.step()
             except Exception:
-                log.exception("a turn of the pipeline failed; the service goes on")
+                if self._brake.admit("turn") is not None:
+                    log.exception("a turn of the pipeline failed; the service goes on")
+                self._stopping.wait(_AFTER_FAILURE)
         self._finish()
 
     def _patience(self) -> float:

@@ -151,6 +151,11 @@ class Paces:
             return activity.paid - _PACE
         return activity.paid + (company.costs if share.frames > 1 else 0.0)
 
+    def has_saved(self, name: str, now: float) -> bool:
+        """Whether the share, not the strangers', has used so little that it may save no more."""
+        activity = self._active.get(name)
+        return activity is not None and name != STRANGERS and activity.paid + _SAVED <= now
+
     def pay(self, arrival: Arrival, now: float) -> None:
         """The share has had this one."""
         activity = self._active.get(arrival.share)

@@ -114,9 +114,14 @@ class Turns:
         return batch or self._take_strangers(few, patience, now)
 
     def take_of(self, lane: str, before: int, count: int, now: float) -> list[Arrival]:
-        """The oldest of one lane with a ticket below `before`, out of turn."""
+        """The oldest of one lane with a ticket below `before`, out of turn.
+
+        While a pace is kept that is a frame and its control, or all of a share that has saved what
+        it may: its backlog is not its fault, but comes from too much in all.
+        """
         batch: list[Arrival] = []
-        most = min(count, 2) if self._paces.are_kept(now) else count  # a frame and its control
+        least = self._paces.are_kept(now) and not self._paces.has_saved(self._share_of(lane), now)
+        most = min(count, 2) if least else count
         while len(batch) < most and self.oldest_of(lane) < before:
             arrival = self._remove(lane)
             batch.append(replace(arrival))

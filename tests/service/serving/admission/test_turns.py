@@ -237,9 +237,36 @@ def test_a_short_cut_counts_against_the_pace(cut: int) -> None:
     bench.put("a")
     for _ in range(20):
         bench.put("b")
+    assert Counter(bench.take()) == Counter(a=1, b=RIDING)
+    bench.put("a")
     for _ in range(cut):
         assert len(bench.turns.take_of("b", 10**9, BATCH, bench.now)) == 2
-    assert Counter(bench.take()) == Counter(a=1, b=max(1, RIDING - 2 * cut))
+    assert Counter(bench.take()) == Counter(a=1, b=1 - cut)
+
+
+def test_a_short_cut_takes_the_whole_backlog_of_who_has_had_little() -> None:
+    """Too much comes in all: a question about one of many waits for one turn, not for ten."""
+    bench = Bench()
+    for _ in range(10):
+        for name in "ab":
+            bench.put(name)
+        bench.now += 0.03
+    assert len(bench.turns.take_of("a", 10**9, BATCH, bench.now)) == 10
+    assert len(bench.turns.take_of("b", 10**9, BATCH, bench.now)) == 10
+    bench.now += 0.03
+    for _ in range(10):
+        bench.put("a")
+    assert len(bench.turns.take_of("a", 10**9, BATCH, bench.now)) == 2, "it has had its pace"
+
+
+def test_a_short_cut_takes_few_of_unknown_names() -> None:
+    bench = Bench()
+    bench.known = {"a"}
+    bench.put("a")
+    for _ in range(10):
+        bench.put("b")
+    bench.now += 0.5
+    assert len(bench.turns.take_of("b", 10**9, BATCH, bench.now)) == 2
 
 
 def test_at_the_end_nobody_keeps_a_pace() -> None:
