@@ -87,8 +87,12 @@ class ImageCodec:
     ) -> Network:
         """The network for any number of inputs (C, H, W)."""
         prepared = prepare(network, inputs, device)
-        least = 1 if self._on_cpu and _same_alone(prepared, inputs) else 2
-        least = min(least, self.largest_batch) if self._on_cpu else self.largest_batch
+        if not self._on_cpu:
+            least = self.largest_batch
+        elif self.largest_batch == 1 or _same_alone(prepared, inputs):
+            least = 1
+        else:
+            least = 2
         return partial(_in_batches, prepared, least, self.largest_batch)
 
 
@@ -99,9 +103,12 @@ def _same_alone(network: Network, inputs: tuple[int, int, int]) -> bool:
 
 
 def _in_batches(network: Network, least: int, largest: int, inputs: np.ndarray) -> np.ndarray:
-    """The network's answers to inputs (B, C, H, W), between `least` and `largest` at once."""
+    """The network's answers to inputs (B, C, H, W), between `least` and `largest` at once.
+
+    Of none there are none.
+    """
     parts = []
-    for start in range(0, len(inputs), largest):
+    for start in range(0, max(1, len(inputs)), largest):
         batch = inputs[start : start + largest]
         padding = batch[-1:].repeat(max(0, least - len(batch)), 0)
         answers = network(np.concatenate([batch, padding]) if len(padding) else batch)

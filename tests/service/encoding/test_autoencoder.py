@@ -140,6 +140,12 @@ def test_a_codes_bits_do_not_depend_on_the_batch_it_rode_in():
     assert np.array_equal(codec.encode(images[order]), together[order])
 
 
+def test_of_no_picture_there_is_no_code_and_of_no_code_no_picture():
+    codec = ImageCodec(lived_in(4), CARD)
+    assert codec.encode(pictures(0)).shape == (0, 8)
+    assert codec.decode(np.zeros((0, 8))).shape == (0, 64, 64)
+
+
 def test_pixel_types_mean_the_same_picture():
     codec = ImageCodec(lived_in(4), CARD)
     images = pictures(3)
