@@ -37,9 +37,9 @@ def main() -> None:
     options = parse_options()
     with tempfile.TemporaryDirectory() as folder:
         weights = write_weights(Path(folder))
-        bare = [bare_encoder(weights, options.threads)]
+        bare = [bare_encoder(weights, options.threads, options.device)]
         figures = under_load(options, Path(folder), weights)
-        bare.append(bare_encoder(weights, options.threads))
+        bare.append(bare_encoder(weights, options.threads, options.device))
     # The mean of before and after, so that a machine whose speed drifts favours neither side.
     figures["bare_encoder_per_s"] = sum(bare) / len(bare)
     figures["encoder_ratio"] = figures["frames_per_s"] / figures["bare_encoder_per_s"]
@@ -50,9 +50,10 @@ def main() -> None:
 
 def parse_options() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
-    parser.add_argument("--trajectories", type=int, default=200)
+    parser.add_argument("--trajectories", type=int, default=200, help="at least 4")
     parser.add_argument("--minutes", type=float, default=0.5, help="time under load")
     parser.add_argument("--threads", type=int, default=1, help="threads of the encoder")
+    parser.add_argument("--device", default="cpu", help="of the encoder: cpu, cuda")
     parser.add_argument("--batch", type=int, default=None, help="koop-serve's --batch")
     parser.add_argument(
         "--flood", type=int, default=0, help="clients that ask for costly predictions without pause"
@@ -64,20 +65,20 @@ def parse_options() -> argparse.Namespace:
 # The encoder alone
 
 
-def bare_encoder(weights: Path, threads: int) -> float:
+def bare_encoder(weights: Path, threads: int, device: str) -> float:
     """Frames a second of ImageCodec.encode alone, at its best batch size, in a fresh process."""
     with multiprocessing.get_context("spawn").Pool(1) as pool:
-        return pool.apply(_bare_encoder, (weights, threads))
+        return pool.apply(_bare_encoder, (weights, threads, device))
 
 
-def _bare_encoder(weights: Path, threads: int) -> float:
+def _bare_encoder(weights: Path, threads: int, device: str) -> float:
     import torch
 
     from koop_service.encoding.image_codec import ImageCodec
     from koop_service.encoding.weights import load_weights
 
     torch.set_num_threads(threads)
-    codec = ImageCodec(*load_weights(weights))
+    codec = ImageCodec(*load_weights(weights), device)
     return max(_encoding_rate(codec, pictures(batch)) for batch in (16, 32, 64, 128))
 
 
@@ -154,17 +155,22 @@ class Load:
 
 
 def under_load(options: argparse.Namespace, folder: Path, weights: Path) -> dict[str, float]:
-    """One trajectory first: what does not grow with their number is in place then."""
+    """A quarter of the trajectories first: what does not grow with their number is in place then,
+    a full queue too."""
     names = [f"benchmark/{i}" for i in range(options.trajectories)]
     arguments = [*models(weights), "--threads", str(options.threads)]
+    arguments += ["--device", options.device]
     arguments += ["--batch", str(options.batch)] if options.batch else []
     with service(folder / "state", *arguments) as served:
-        alone = run(served, names[:1], 0, WARM_SECONDS)
-        several = run(served, names, alone.sent, WARM_SECONDS)
-        first = alone.sent + several.sent // len(names)
+        few = names[: len(names) // 4]
+        some = run(served, few, 0, WARM_SECONDS)
+        first = some.sent // len(few)
+        several = run(served, names, first, WARM_SECONDS)
+        first += several.sent // len(names)
         load = run(served, names, first, 60.0 * options.minutes, options.flood)
         held, shed = served.metric("koop_held_total"), served.metric("koop_shed_total")
-    figures = figures_of(options, load, alone.resident[-1][1])
+    grown = load.resident[-1][1] - some.resident[-1][1]
+    figures = figures_of(options, load, grown / (len(names) - len(few)))
     return figures | {"held_back": held, "shed": shed}
 
 
@@ -191,8 +197,8 @@ def run(served: Service, names: list[str], first: int, seconds: float, floods: i
     return Load(sent.value, folded, frames_per_s, resident, latencies, refusals)
 
 
-def figures_of(options: argparse.Namespace, load: Load, fixed: int) -> dict[str, float]:
-    """The figures to print; `fixed` is the resident memory with one trajectory [bytes]."""
+def figures_of(options: argparse.Namespace, load: Load, each: float) -> dict[str, float]:
+    """The figures to print; `each` is a trajectory's part of the resident memory [bytes]."""
     if load.refusals:
         print(f"{len(load.refusals)} queries were refused, the last with: {load.refusals[-1]}")
     latencies, resident = load.latencies, load.resident[-1][1]
@@ -209,7 +215,7 @@ def figures_of(options: argparse.Namespace, load: Load, fixed: int) -> dict[str,
         "predict_p99_ms": 1e3 * float(np.percentile(latencies, 99)),
         "predict_max_ms": 1e3 * max(latencies),
         "resident_mb": resident / 1e6,
-        "kb_per_trajectory": (resident - fixed) / 1e3 / (options.trajectories - 1),
+        "kb_per_trajectory": each / 1e3,
         "growth_kb_per_min": growth(load.resident) / 1e3,
     }
 

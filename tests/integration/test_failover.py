@@ -99,6 +99,10 @@ def expected(tmp_path_factory: pytest.TempPathFactory, model: Path) -> dict[str,
     with loop(config_for(tmp_path_factory.mktemp("undisturbed"), model)) as koop:
         for seed, name in enumerate(NAMES):
             Source(koop.session, name, seed, EPOCH).stream(FRAMES)
+            # All at once would be too much: predictions by wildcard are refused then.
+            found = state(koop.session, name)
+            assert found is not None
+            assert found.frames == FRAMES
         return answers(koop.session)
 
 
