@@ -59,7 +59,10 @@ def parse_options() -> argparse.Namespace:
         "--flood", type=int, default=0, help="clients that ask for costly predictions without pause"
     )
     parser.add_argument("--json", action="store_true", help="one JSON object on the last line")
-    return parser.parse_args()
+    options = parser.parse_args()
+    if options.trajectories < 4:
+        parser.error("at least 4 trajectories: a quarter of them goes first")
+    return options
 
 
 # The encoder alone

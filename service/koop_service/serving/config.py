@@ -131,7 +131,7 @@ class ComputeSettings:
     """Processor threads of the encoder. One core encodes about 4,500 frames a second."""
     batch: int = 64
     """Most frames encoded at once. A query waits for the batch in work, so this trades answer time
-    for throughput; on a GPU 256 and more pay."""
+    for throughput; on a GPU, which always encodes 128 pictures at once, so many and more pay."""
 
     def __post_init__(self) -> None:
         _require_at_least("threads", self.threads, 1)

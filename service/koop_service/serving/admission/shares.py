@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections import OrderedDict, deque
 from collections.abc import Collection
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 from koop_service.serving.admission.arrivals import STRANGERS, Arrival
 
@@ -80,8 +81,7 @@ class Share:
         self.size += sign * len(arrival.data)
 
 
-@dataclass(frozen=True, slots=True)
-class Company:
+class Company(NamedTuple):
     """Who is in a batch already: so many of a share's own, so many others, and whether one of
     those had to wait."""
 
